@@ -25,7 +25,9 @@ def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
     a fraction of Householder's QR and are as accurate while the condition number is far below 1 /
     sqrt(rounding); QR is used beyond that.
     """
-    triangle = triangle_of_products(columns.T @ columns)
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = columns.T @ columns
+    triangle = triangle_of_products(products)
     if triangle is not None:
         return *triangle, True
     lengths = np.linalg.norm(columns, axis=0)
@@ -35,11 +37,13 @@ def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
 
 def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns with each
-    other; None where R is too inexact.
+    other; None where R is too inexact, FitError beyond all numbers.
 
     Products of zero keep the length 1.
     """
     scale = np.sqrt(np.diag(products))
+    if not np.all(np.isfinite(scale)):
+        raise FitError("the fit got to values so far off that they cannot be computed with")
     scale = np.where(scale > 0, scale, 1.0)
     try:
         triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T

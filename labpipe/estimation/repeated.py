@@ -356,6 +356,8 @@ def _statement(
     high = max(mean.value + between, mean.value + shift + wide)
     sign = float(np.sign(parameter.value)) if of.log else 1.0
 
+    # An interval may reach as far as numbers do.
+    @np.errstate(over="ignore")
     def back(value: float) -> float:
         return sign * float(np.exp(value)) if of.log else float(value)
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
-from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, setting
+from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, quantity, setting
 from labpipe.records.uncertain import RepeatSource, Uncertain
 from labpipe.registry import Registry
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -118,8 +118,8 @@ Mass = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | str
 class Sliding(Settings):
     """The fit is repeated in a band of *width* moved by *step*."""
 
-    width: float = setting("value", "width of one band", unit="Hz")
-    step: float = setting("value", "distance between the centres of neighbouring bands", unit="Hz")
+    width: float = quantity("width of one band", "Hz")
+    step: float = quantity("distance between the centres of neighbouring bands", "Hz")
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ class FitSettings(Settings):
     bootstrap: int = setting(
         "integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0
     )
-    coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
+    coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
     monte_carlo: int = setting(
         "integer",
         "draws of noise and of all numbers with an uncertainty, as a check of the budget",

@@ -19,7 +19,7 @@ from labpipe.project.tests import EachFile, SourceFile, Test, TestReader, read_r
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections
-from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.records.uncertain import RepeatSource, parse_uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -75,7 +75,7 @@ class UncertaintySettings(Settings):
     do not say it themselves.
     """
 
-    coverage: float = setting("value", "probability of expanded uncertainties", unit="1", default=0.95)
+    coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
     method: str = setting(
         "choice",
         "first order, or draws of noise and all uncertainties beside it",

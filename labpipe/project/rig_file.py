@@ -16,7 +16,14 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
+from labpipe.records.settings import (
+    FileKind,
+    Settings,
+    Uncertainties,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -56,6 +63,10 @@ class RigSettings(Settings):
     )
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
     uncertainties: Uncertainties = ()
+
+    def __post_init__(self) -> None:
+        require_positive(self, "sample_rate", "resample")
+        require_not_negative(self, "mass")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,9 +172,6 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         if len(stated) > 1:
             what = f"one of {stated[0]} and {stated[1]} is needed, not both"
             faults.add(entries[stated[1]], stated[0], what, "leave one of them out")
-        for name in ("sample_rate", "resample"):
-            if name in stated and getattr(settings, name) <= 0:
-                faults.add_at(entries, "", name, "must be positive")
     if len(faults) > before or settings is None:
         return None
     return Rig(

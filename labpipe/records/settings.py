@@ -1,8 +1,6 @@
 """Declaring a parameter once: the frozen dataclass of a stage feeds the YAML reader, the schema, the help and
 the docs.
 
-Values of settings: from text of a file ("60-70 Hz", 0.79, [1 kg, 2 kg]) to SI numbers of the declared type.
-
 One converter for each kind of setting; texts carry their unit, bare numbers are SI. UnitError says what is
 wrong. Files and Python scripts go through the same converters.
 """
@@ -504,18 +502,31 @@ def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
 
 
 def require_positive(settings: Any, *names: str) -> None:
-    """ConfigError for the first of the entries that is given and not above zero."""
+    """ConfigError for the first of the entries that holds a number not above zero."""
     for name in names:
-        value = getattr(settings, name)
-        if value is not None and not value > 0:
+        if not all(number > 0 for number in _numbers_of(settings, name)):
             raise SettingError(name, f"{name} must be positive")
 
 
 def require_not_negative(settings: Any, *names: str) -> None:
-    """ConfigError for the first of the entries that is below zero."""
+    """ConfigError for the first of the entries that holds a number below zero."""
     for name in names:
-        if getattr(settings, name) < 0:
+        if any(number < 0 for number in _numbers_of(settings, name)):
             raise SettingError(name, f"{name} must not be negative")
+
+
+def _numbers_of(settings: Any, name: str) -> tuple[float, ...]:
+    """The numbers of an entry, none where it is not given."""
+    value = getattr(settings, name)
+    value = value.value if isinstance(value, Uncertain) else value
+    return value if isinstance(value, tuple) else () if value is None else (value,)
+
+
+class StandardDeviations(Settings):
+    """Settings all of which are standard deviations, none below zero."""
+
+    def __post_init__(self) -> None:
+        require_not_negative(self, *settings_of(type(self)))
 
 
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:

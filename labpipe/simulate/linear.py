@@ -2,8 +2,7 @@
 and their noise.
 
 Motions are exact: H times the spectrum of the force line by line, of a force that is periodic in the run, or
-of one from rest that is followed until what comes round has died out. The excitation is any force that is
-sampled: a multisine, swept sines, white noise.
+of one from rest that is followed until what comes round has died out.
 """
 
 from __future__ import annotations
@@ -22,7 +21,14 @@ from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.simulate import virtual_rigs
 
 # A free decay is followed until this share of it is left.
@@ -153,12 +159,15 @@ class OneMass(Settings):
     stiffness: float
     damping: float
     band: tuple[float, float]
+    duration: float
     sample_rate: float
 
     def check_band(self) -> None:
-        """ConfigError for a band that the sampling rate does not hold."""
-        if not 0 < self.band[0] < self.band[1] < self.sample_rate / 2:
-            raise SettingError("band", f"band must lie between 0 and {self.sample_rate / 2:g} Hz")
+        """ConfigError for a band that the length of a run or the sampling rate does not hold."""
+        lowest, highest = 1 / self.duration, self.sample_rate / 2
+        if not lowest <= self.band[0] < self.band[1] < highest:
+            what = f"band must lie between {lowest:g} Hz, a period in a run, and {highest:g} Hz"
+            raise SettingError("band", what)
 
     @property
     def truth(self) -> dict[str, float]:
@@ -179,12 +188,12 @@ class OneMass(Settings):
 
 
 @dataclass(frozen=True)
-class BaseNoise(Settings):
-    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+class BaseNoise(StandardDeviations):
+    """Measuring noise, white up to half the sampling rate."""
 
-    base: float = setting("value", "accelerometer on the table", unit="m/s^2", default=0.005)
-    acceleration: float = setting("value", "accelerometer on the mass", unit="m/s^2", default=0.1)
-    displacement: float = setting("value", "probe between table and mass", unit="m", default=1e-6)
+    base: float = quantity("accelerometer on the table", "m/s^2", 0.005)
+    acceleration: float = quantity("accelerometer on the mass", "m/s^2", 0.1)
+    displacement: float = quantity("probe between table and mass", "m", 1e-6)
 
 
 @dataclass(frozen=True)
@@ -194,18 +203,18 @@ class BaseRig(OneMass):
     """
 
     kind: str = setting("choice", "which virtual rig", choices=("virtual-base-rig",))
-    mass: float = setting("value", "mass that moves", unit="kg")
-    stiffness: float = setting("value", "stiffness between table and mass", unit="N/m")
-    damping: float = setting("value", "damping between table and mass", unit="N.s/m")
+    mass: float = quantity("mass that moves", "kg")
+    stiffness: float = quantity("stiffness between table and mass", "N/m")
+    damping: float = quantity("damping between table and mass", "N.s/m")
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual mass on a shaking table")
-    acceleration: float = setting("value", "rms acceleration of the table", unit="m/s^2", default=5.0)
+    acceleration: float = quantity("rms acceleration of the table", "m/s^2", 5.0)
     band: tuple[float, float] = setting(
         "band", "band in which the table shakes", unit="Hz", default=(10.0, 100.0)
     )
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=512.0)
-    duration: float = setting("value", "length of a run", unit="s", default=32.0)
-    pause: float = setting("value", "pause after the sweep, part of its run", unit="s", default=4.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 512.0)
+    duration: float = quantity("length of a run", "s", 32.0)
+    pause: float = quantity("pause after the sweep, part of its run", "s", 4.0)
     noise: BaseNoise = setting("section", "measuring noise", section=BaseNoise, default=BaseNoise())
 
     def __post_init__(self) -> None:
@@ -223,28 +232,22 @@ class SweepRig(OneMass):
     """
 
     kind: str = setting("choice", "which virtual rig", choices=("virtual-sweep-rig",))
-    mass: float = setting("value", "mass that moves", unit="kg")
-    stiffness: float = setting("value", "stiffness of its support", unit="N/m")
-    damping: float = setting("value", "damping of its support", unit="N.s/m")
+    mass: float = quantity("mass that moves", "kg")
+    stiffness: float = quantity("stiffness of its support", "N/m")
+    damping: float = quantity("damping of its support", "N.s/m")
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual mass under swept sines")
     band: tuple[float, float] = setting("band", "band that is swept", unit="Hz", default=(20.0, 80.0))
-    force: float = setting("value", "rms force while a sweep runs", unit="N", default=5.0)
-    duration: float = setting(
-        "value", "length of the linear sweep; the others take half as long", unit="s", default=24.0
-    )
-    pause: float = setting("value", "pause after every sweep", unit="s", default=3.0)
-    noise: float = setting("value", "standard deviation of the probe's noise", unit="m", default=1e-6)
-    force_noise: float = setting(
-        "value", "standard deviation of the force transducer's noise", unit="N", default=0.02
-    )
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=512.0)
+    force: float = quantity("rms force while a sweep runs", "N", 5.0)
+    duration: float = quantity("length of the linear sweep; the others take half as long", "s", 24.0)
+    pause: float = quantity("pause after every sweep", "s", 3.0)
+    noise: float = quantity("standard deviation of the probe's noise", "m", 1e-6)
+    force_noise: float = quantity("standard deviation of the force transducer's noise", "N", 0.02)
+    sample_rate: float = quantity("sampling rate", "Hz", 512.0)
 
     def __post_init__(self) -> None:
         require_positive(self, "mass", "stiffness", "damping", "force", "duration", "sample_rate")
-        for name in ("pause", "noise", "force_noise"):
-            if getattr(self, name) < 0:
-                raise SettingError(name, f"{name} must not be negative")
+        require_not_negative(self, "pause", "noise", "force_noise")
         self.check_band()
 
 
@@ -301,17 +304,24 @@ def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
     return sense(name, channels, [force, moved], [rig.force_noise, rig.noise], rig.sample_rate, rng)
 
 
+def check_matrices(rig: Any, n: int, *names: str) -> None:
+    """ConfigError for the first of the entries that is no matrix (n, n)."""
+    for name in names:
+        if np.shape(getattr(rig, name)) != (n, n):
+            raise SettingError(name, f"{name} is not a {n} x {n} matrix")
+
+
 # A rotor in an anisotropic support under a white-noise force, along x in one run and along y in the other.
 
 SHAKEN_RUNS = {"along-x": "x", "along-y": "y"}
 
 
 @dataclass(frozen=True)
-class SensorNoise(Settings):
-    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+class SensorNoise(StandardDeviations):
+    """Measuring noise, white up to half the sampling rate."""
 
-    displacement: float = setting("value", "displacement sensors", unit="m", default=5e-6)
-    force: float = setting("value", "force transducer", unit="N", default=0.05)
+    displacement: float = quantity("displacement sensors", "m", 5e-6)
+    force: float = quantity("force transducer", "N", 0.05)
 
 
 @dataclass(frozen=True)
@@ -325,23 +335,29 @@ class WhiteNoiseRig(Settings):
     kind: str = setting("choice", "which virtual rig", choices=("virtual-white-noise-rig",))
     stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K (x, y)", unit="N/m")
     damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C (x, y)", unit="N.s/m")
-    mass: float = setting("value", "mass that moves with the rotor", unit="kg")
+    mass: float = quantity("mass that moves with the rotor", "kg")
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual rotor under white noise")
-    force: float = setting("value", "rms force of the shaker", unit="N", default=30.0)
-    bandwidth: float = setting("value", "the force is white up to here", unit="Hz", default=400.0)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=1024.0)
+    force: float = quantity("rms force of the shaker", "N", 30.0)
+    bandwidth: float = quantity("the force is white up to here", "Hz", 400.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 1024.0)
     blocks: int = setting("integer", "blocks recorded one after the other", default=100)
-    block: float = setting("value", "length of one block", unit="s", default=5.0)
-    speed: float = setting("value", "shaft speed", unit="Hz", default=50.0)
-    unbalance: float = setting("value", "mass times eccentricity", unit="kg.m", default=5.5e-5)
+    block: float = quantity("length of one block", "s", 5.0)
+    speed: float = quantity("shaft speed", "Hz", 50.0)
+    unbalance: float = quantity("mass times eccentricity", "kg.m", 5.5e-5)
     noise: SensorNoise = setting("section", "measuring noise", section=SensorNoise, default=SensorNoise())
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "damping"):
-            if np.shape(getattr(self, name)) != (2, 2):
-                raise SettingError(name, f"{name} is not a 2 x 2 matrix")
+        check_matrices(self, 2, "stiffness", "damping")
         require_positive(self, "mass", "force", "bandwidth", "sample_rate", "blocks", "block")
+        require_not_negative(self, "unbalance")
+        if self.n_sample < 2:
+            raise SettingError("block", f"a block holds less than a sample at {self.sample_rate:g} Hz")
+        system = np.block(
+            [[np.zeros((2, 2)), self.mass * np.eye(2)], [-np.array(self.stiffness), -np.array(self.damping)]]
+        )
+        if np.max(np.linalg.eigvals(system / self.mass).real) > 0:
+            raise SettingError("stiffness", "the rotor is unstable with this stiffness and damping")
         for name in ("speed", "bandwidth"):
             if not 0 <= getattr(self, name) < self.sample_rate / 2:
                 what = f"{name} must lie below half the sampling rate, {self.sample_rate / 2:g} Hz"
@@ -405,8 +421,8 @@ def shaken_rotor(
 class Lines(Settings):
     """Equally spaced frequency lines."""
 
-    first: float = setting("value", "lowest frequency", unit="Hz")
-    last: float = setting("value", "highest frequency", unit="Hz")
+    first: float = quantity("lowest frequency", "Hz")
+    last: float = quantity("highest frequency", "Hz")
     count: int = setting("integer", "number of lines")
 
 
@@ -421,24 +437,19 @@ class VirtualMdofRig(Settings):
         "mass", "masses, or the mass matrix M", unit="kg"
     )
     lines: Lines = setting("section", "frequency lines of the FRF", section=Lines)
-    noise: float = setting(
-        "value",
-        "standard deviation on the real and on the imaginary part, as a share of the largest |H|",
-        unit="1",
+    noise: float = quantity(
+        "standard deviation on the real and on the imaginary part, as a share of the largest |H|", "1"
     )
     name: str = setting("text", "name of the rig", default="Virtual rig of masses, springs and dampers")
 
     def __post_init__(self) -> None:
         n = len(self.stiffness)
-        for name in ("stiffness", "damping"):
-            if np.shape(getattr(self, name)) != (n, n):
-                raise ConfigError(f"{name} is not a {n} x {n} matrix")
+        check_matrices(self, n, "stiffness", "damping")
         # A list of masses, or of rows; both, or rows of other lengths, have no shape.
         shapes = {np.shape(row) for row in self.mass} if isinstance(self.mass, tuple) else set()
         if shapes not in ({()}, {(n,)}) or len(self.mass) != n:
             raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
-        if self.noise < 0:
-            raise ConfigError("noise must not be negative")
+        require_not_negative(self, "noise")
         if self.lines.count < 2 or not 0 <= self.lines.first < self.lines.last:
             raise ConfigError("lines: two or more from `first` up to `last` are needed")
 

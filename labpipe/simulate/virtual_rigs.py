@@ -1,6 +1,4 @@
-"""Virtual rigs with true parameters. VIRTUAL_RIGS by kind: settings, runs, their files as a logger writes
-them, truth.
-"""
+"""Virtual rigs with true parameters, their files as a logger writes them; VIRTUAL_RIGS by kind."""
 
 from __future__ import annotations
 
@@ -27,8 +25,7 @@ from labpipe.spectra.settings import FrfSettings
 
 
 def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, float]:
-    """Mass [kg], k [N/m], c [N.s/m] with f_n = sqrt(k / m) / 2 pi [Hz] and zeta = c / (2 sqrt(k m)) [1], by
-    name.
+    """Mass [kg], k [N/m], c [N.s/m], f_n = sqrt(k / m) / 2 pi [Hz], zeta = c / (2 sqrt(k m)) [1] by name.
 
     Equation (sim-one-mass).
     """
@@ -226,13 +223,10 @@ def simulated_response(
         raise ConfigError(f"a {rig.kind} gives no frequency response", hint=hint)
     if frf is None:
         raise ConfigError("the study needs the frf: section to measure this rig's recordings")
-    made = list(recordings(rig, _join(seeds), runs))
+    # Different for different rows of up to a million repeats.
+    seed = functools.reduce(lambda joined, part: joined * 1_000_003 + part, seeds, 0)
+    made = list(recordings(rig, seed, runs))
     return channel_spectra(made, frf) if frf.result == "spectra" else measure(made, frf)
-
-
-def _join(seeds: Sequence[int]) -> int:
-    """One integer from several, different for different rows of up to a million repeats."""
-    return functools.reduce(lambda joined, part: joined * 1_000_003 + part, seeds, 0)
 
 
 def chosen_runs(rig: VirtualRig, runs: Iterable[str] | None) -> tuple[str, ...]:
@@ -262,20 +256,25 @@ FINE_VOLTAGE, COARSE_VOLTAGE = ("uV", 1e6), ("mV", 1e3)
 
 
 def force_and_displacements(run: Recording) -> LoggedTable:
-    """Force and two displacements in um, single precision.
-
-    The bytes of noise pack best one position after the other.
-    """
+    """Force and two displacements in um, single precision; split, as the bytes of noise pack best."""
     titles = ("force [N]", *(f"{channel.name} [um]" for channel in run.channels[1:]))
     columns = dict(zip(titles, (run.samples * [1.0, 1e6, 1e6]).T.astype(np.float32), strict=True))
     return LoggedTable(columns, dictionary=False, split=True)
+
+
+def _whole(title: str, counts: FloatArray, kind: type[np.signedinteger]) -> NDArray[np.generic]:
+    """Whole *counts* as a logger holds them; ConfigError beyond its bits."""
+    if not np.all(np.abs(counts) <= np.iinfo(kind).max):
+        what = f"{title}: beyond {np.iinfo(kind).max}, where the logger ends"
+        raise ConfigError(what, hint="make the forces, motions or noise of the rig smaller")
+    return counts.astype(kind)
 
 
 def force_and_accelerations(run: Recording) -> LoggedTable:
     """As a 16-bit logger stores them: force in cN, accelerometers in mV at 10 mV per m/s^2."""
     steps = np.rint(run.samples * [100.0, *[10.0] * (len(run.channels) - 1)])
     titles = ("force [cN]", *(f"{channel.name} [mV]" for channel in run.channels[1:]))
-    columns = {title: column.astype(np.int16) for title, column in zip(titles, steps.T, strict=True)}
+    columns = {title: _whole(title, column, np.int16) for title, column in zip(titles, steps.T, strict=True)}
     return LoggedTable(columns, level=19, dictionary=False)
 
 
@@ -290,11 +289,12 @@ def whole_numbers(
     *steps*: by channel, the step of the logger in the recorded unit; coarse steps pack best by a dictionary
     of their values.
     """
-    columns: dict[str, NDArray[np.int32]] = {}
+    columns = {}
     chosen = {**WHOLE, **(units or {})}
     for channel, samples in zip(run.channels, run.samples.T, strict=True):
         voltage = FINE_VOLTAGE if channel.role != "reference" else COARSE_VOLTAGE
         unit, per_si = chosen.get(channel.quantity, voltage)
         step = steps[channel.name] if steps else 1
-        columns[f"{channel.name} [{unit}]"] = step * np.rint(samples * (per_si / step)).astype(np.int32)
+        title = f"{channel.name} [{unit}]"
+        columns[title] = _whole(title, step * np.rint(samples * (per_si / step)), np.int32)
     return LoggedTable(columns, level=19, dictionary=bool(steps), split=not steps)

@@ -13,7 +13,14 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
-from labpipe.records.settings import Settings, setting, settings_of
+from labpipe.records.settings import (
+    Settings,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+    settings_of,
+)
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
@@ -71,24 +78,24 @@ class EquilibriumSettings(Settings):
     load: str = setting("text", "condition that is the load, one of `over`")
     x: str = setting("text", "condition that is the mean displacement in x")
     y: str = setting("text", "condition that is the mean displacement in y")
-    direction: float = setting(
-        "value", "direction of the load on the shaft, from x towards y", unit="rad", default=0.0
-    )
+    direction: float = quantity("direction of the load on the shaft, from x towards y", "rad", 0.0)
     centre: tuple[float, ...] = setting(
         "values", "centre of the bearing (x, y) as the probes show it", unit="m", default=(0.0, 0.0)
     )
-    clearance: float | None = setting(
-        "value", "radial clearance, the circle that the shaft can move in", unit="m", default=None
-    )
-    support: float = setting(
-        "value", "stiffness of what carries a share of the load beside the bearing", unit="N/m", default=0.0
-    )
+    clearance: float | None = quantity("radial clearance, the circle that the shaft can move in", "m", None)
+    support: float = quantity("stiffness of what carries a share of the load beside the bearing", "N/m", 0.0)
 
     def __post_init__(self) -> None:
         if len(self.centre) != 2:
             raise ConfigError("'centre' has two coordinates", hint="centre: [0 um, 0 um]")
-        if self.clearance is not None and self.clearance <= 0:
-            raise ConfigError("'clearance' must be positive")
+        require_positive(self, "clearance")
+
+
+def _check_shares(settings: Any) -> None:
+    if not 0 <= settings.tolerance < 1:
+        raise ConfigError("'tolerance' must be at least 0 and below 100 %")
+    if not 0 < settings.level < 1:
+        raise ConfigError("'level' must lie between 0 and 100 %")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,13 +113,10 @@ class MatrixSettings(Settings):
     beside: tuple[str, ...] = setting(
         "names", "conditions shown beside, such as leakage or temperature", default=()
     )
-    tolerance: float = setting(
-        "value",
-        "values of a condition closer than this share of the largest are one level",
-        unit="1",
-        default=0.02,
+    tolerance: float = quantity(
+        "values of a condition closer than this share of the largest are one level", "1", 0.02
     )
-    level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
+    level: float = quantity("level of significance of tests", "1", 0.05)
     theory: MatrixTheorySettings | None = setting(
         "section", "theory beside the points", section=MatrixTheorySettings, default=None
     )
@@ -131,10 +135,7 @@ class MatrixSettings(Settings):
         if self.path is not None and self.path.load not in self.over:
             what = f"the load '{self.path.load}' of the path is none of 'over'"
             raise ConfigError(what, hint=f"over: {', '.join(self.over)}")
-        if not 0 <= self.tolerance < 1:
-            raise ConfigError("'tolerance' must be at least 0 and below 100 %")
-        if not 0 < self.level < 1:
-            raise ConfigError("'level' must lie between 0 and 100 %")
+        _check_shares(self)
         if self.theory is not None and self.theory.bearing and len(self.theory.entries) != len(self.over):
             what = f"'theory.entries' names one entry for each of {len(self.over)} conditions"
             raise ConfigError(what, hint="for example over: [speed, load] with entries: [speed, load]")
@@ -184,15 +185,10 @@ class TheorySettings(Settings):
     shaft: Uncertain | None = setting(
         "uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None
     )
-    arm: float | None = setting(
-        "value", "tilts are measured as displacements at this distance", unit="m", default=None
-    )
+    arm: float | None = quantity("tilts are measured as displacements at this distance", "m", None)
 
     def __post_init__(self) -> None:
-        if self.shaft is not None and not self.shaft.value > 0:
-            raise ConfigError("'shaft' must be above zero")
-        if self.arm is not None and not self.arm > 0:
-            raise ConfigError("'arm' must be above zero")
+        require_positive(self, "shaft", "arm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,15 +204,11 @@ class CompareSettings(Settings):
     over: tuple[str, ...] = setting(
         "names", "condition over which tests are ordered or paired, or two of them", default=()
     )
-    tolerance: float = setting(
-        "value", "values closer than this share of the largest are one", unit="1", default=1e-6
-    )
+    tolerance: float = quantity("values closer than this share of the largest are one", "1", 1e-6)
     group: str = setting("text", "condition that makes the groups; default: each test is one", default="")
     groups: tuple[str, ...] = setting("names", "the two groups, the second against the first", default=())
     law: str = setting("choice", "straight line, or power law", choices=LAWS, default="line")
-    setting_error: float = setting(
-        "value", "relative standard error of setting the condition", unit="1", default=0.0
-    )
+    setting_error: float = quantity("relative standard error of setting the condition", "1", 0.0)
     theory: TheorySettings | None = setting(
         "section", "theory to compare with", section=TheorySettings, default=None
     )
@@ -225,17 +217,15 @@ class CompareSettings(Settings):
         "text", "response ahead of the sum at which the excitation is added", default="before"
     )
     after: str = setting("text", "response behind that sum", default="after")
-    level: float = setting("value", "level of significance of tests", unit="1", default=0.05)
+    level: float = quantity("level of significance of tests", "1", 0.05)
     name: str = ""
     kind_settings: Any = None
 
     def __post_init__(self) -> None:
         self._check_keys()
         self._check_over()
-        if not 0 < self.level < 1:
-            raise ConfigError("'level' must lie between 0 and 100 %")
-        if self.setting_error < 0:
-            raise ConfigError("'setting_error' must not be negative")
+        _check_shares(self)
+        require_not_negative(self, "setting_error")
         if self.estimate and self.theory is None:
             what = "'estimate' has no loop whose unknowns can be fitted"
             raise ConfigError(what, hint="theory: {bearing: FILE}")
@@ -283,8 +273,6 @@ class CompareSettings(Settings):
             raise SettingError("over", what, f"two: {', '.join(several)}; more: matrix")
         if len(set(self.over)) < len(self.over):
             raise SettingError("over", f"'over' names '{self.condition}' twice")
-        if not 0 <= self.tolerance < 1:
-            raise ConfigError("'tolerance' must be at least 0 and below 100 %")
 
     def _check_theory(self) -> None:
         """ConfigError for a theory without the entries that the conditions set, or with an estimate of one of

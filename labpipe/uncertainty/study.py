@@ -27,7 +27,7 @@ from labpipe.processes import pool_of
 from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import listed
 from labpipe.simulate.virtual_rigs import Truth as RigTruth
@@ -62,7 +62,7 @@ class StudySettings(Settings):
     success: tuple[float, ...] = setting(
         "values", "relative deviations that count as success", unit="1", default=(0.1,)
     )
-    share: float = setting("value", "success rate asked for", unit="1", default=0.95)
+    share: float = quantity("success rate asked for", "1", 0.95)
     printed: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "mean errors printed elsewhere, by fit, one for each noise level, to stand beside",

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from labpipe.arrays import FloatArray
-from labpipe.estimation.descent import minimise, sum_of_squares
+from labpipe.errors import FitError
+from labpipe.estimation.descent import minimise, scaled_triangle, sum_of_squares
 
 
 @dataclass
@@ -82,3 +83,9 @@ def test_the_number_of_steps_is_bounded() -> None:
     problem = Rosenbrock()
     minimum = minimise(problem, np.array([-1.2, 1.0]), most_steps=5)
     assert (minimum.converged, minimum.steps, len(problem.jacobians)) == (False, 5, 5)
+
+
+def test_derivatives_whose_squares_are_no_numbers_are_refused() -> None:
+    """1e160, squared, is beyond 1.8e308: it ended in a matrix without singular values."""
+    with pytest.raises(FitError, match="so far off that they cannot be computed with"):
+        scaled_triangle(np.array([[1e160, 0.0], [1e160, 1.0]]))

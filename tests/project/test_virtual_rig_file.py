@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import load_marked
 from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.settings import settings_of
-from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
+from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, simulate
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -52,11 +52,65 @@ def test_a_shipped_rig_is_read_into_the_class_of_its_kind(path: Path) -> None:
         ("virtual-hmb", "pedestal_mass=0 kg", "pedestal_mass must be positive"),
         ("virtual-hmb", "levitation.bearings=0", "one bearing or more"),
         ("virtual-hmb", "levitation.corner=0 Hz", "corner must be positive"),
+        ("virtual-hmb", "actuator_gain=0 N/V", "actuator_gain must be positive"),
+        ("virtual-hmb", "pedestal_damping=-1 N.s/m", "pedestal_damping must not be negative"),
+        ("virtual-hmb", "radial_force=-1 N", "radial_force must be positive"),
+        (
+            "virtual-hmb-loop",
+            "levitation.loop.sensor=0 V/m",
+            "sensor must not be zero; nothing closes the loop",
+        ),
+        ("virtual-levitated", "unbalance=-1 g.mm", "unbalance must not be negative"),
+        ("virtual-levitated", "damping=-100 N.s/m", "damping must not be negative"),
+        ("virtual-decay", "noise=-1 um", "noise must not be negative"),
+        ("virtual-decay", "joint=-0.3 %", "joint must not be negative"),
+        ("virtual-decay", "interval=4 us", "frequencies must lie between 250000 Hz, a period after a hit"),
+        (
+            "virtual-sweep",
+            "duration=24 us",
+            "band must lie between 41666.7 Hz, a period in a run, and 256 Hz",
+        ),
+        ("virtual-white-noise", "block=5 us", "a block holds less than a sample at 1024 Hz"),
+        ("virtual-white-noise", "unbalance=-1 g.mm", "unbalance must not be negative"),
+        # One direction without a restoring force: a pole at +509 rad/s, sqrt(620e3 / 2.4).
+        (
+            "virtual-white-noise",
+            "stiffness=[[-620 kN/m, 0 N/m], [0 N/m, 690 kN/m]]",
+            "the rotor is unstable with this stiffness and damping",
+        ),
+        ("virtual-journal", "unbalance=-1 g.mm", "unbalance must not be negative"),
+        ("virtual-rotor", "probe_noise=-1 um", "probe_noise must not be negative"),
+        ("virtual-rotor", "gain=-1 %", "gain must not be negative"),
+        ("virtual-floating", "runout=[5 um, -2 um]", "runout must not be negative"),
+        ("virtual-floating", "shaft_noise=-1 N", "shaft_noise must not be negative"),
+        ("virtual-ball-bearing", "deep_groove.preloads=[427 N, -701 N]", "preloads must not be negative"),
+        ("virtual-ball-bearing", "mountings=0", "mountings must be positive"),
+        ("virtual-ball-bearing", "sampling.spacing=0 Hz", "spacing must be positive"),
+        ("virtual-ball-bearing", "damping_factor=-1 us", "damping_factor must not be negative"),
     ],
 )
 def test_a_rig_that_cannot_be_is_refused(name: str, change: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_virtual_rig(CONFIGS / f"{name}.yaml", [change])
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_no_noise_is_below_zero(path: Path) -> None:
+    noise = getattr(load_virtual_rig(path), "noise", None)
+    for name in settings_of(type(noise)) if dataclasses.is_dataclass(noise) else ():
+        with pytest.raises(ConfigError, match=f"{name} must (not be negative|be positive)"):
+            dataclasses.replace(noise, **{name: -1.0})
+
+
+def test_what_a_logger_cannot_hold_is_refused() -> None:
+    """Of 16 bits, cN end at 327.67 N: more wrapped round."""
+    for name, change, said in (
+        ("virtual-ball-bearing", "sampling.force=1 kN", r"force \[cN\]: beyond 32767, where the logger ends"),
+        ("virtual-decay", "amplitude=1 km", r"y \[nm\]: beyond 2147483647, where the logger ends"),
+    ):
+        rig = load_virtual_rig(CONFIGS / f"{name}.yaml", [change])
+        with pytest.raises(ConfigError, match=said):
+            simulate(rig, 1, ["6208-427N-up-x" if "ball" in name else "struck"])
 
 
 def test_every_kind_has_a_shipped_example() -> None:

@@ -44,7 +44,7 @@ def test_what_is_measured_of_the_mass_belongs_together() -> None:
     [
         ({"stiffness": 0.0}, "stiffness must be positive"),
         ({"pause": 40.0}, "pause must lie between"),
-        ({"band": (0.0, 9.0)}, "between 0 and 256"),
+        ({"band": (0.0, 9.0)}, "between 0.03125 Hz, a period in a run, and 256 Hz"),
     ],
 )
 def test_impossible_rigs_are_refused(change: dict[str, object], message: str) -> None:

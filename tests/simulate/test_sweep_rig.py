@@ -50,7 +50,7 @@ def test_runs_have_their_sweeps() -> None:
     [
         ({"mass": 0.0}, "mass must be positive"),
         ({"pause": -1.0}, "pause must not be negative"),
-        ({"band": (20.0, 300.0)}, "between 0 and 256"),
+        ({"band": (20.0, 300.0)}, "and 256 Hz"),
     ],
 )
 def test_impossible_rigs_are_refused(change: dict[str, object], message: str) -> None:

@@ -258,8 +258,12 @@ OF_LOOP = {"kind": "prediction", "fit": "a", "over": ("gain",)}
             "'loop.gap' is set by 'gain', so it is not estimated",
             "leave one of them out",
         ),
-        ({"kind": "rayleigh", "fit": "a", "over": ("x",), "theory": {"arm": 0.0}}, "'arm' must be above", ""),
-        ({**PAIR, "theory": {"shaft": Uncertain(0.0)}}, "'shaft' must be above zero", ""),
+        (
+            {"kind": "rayleigh", "fit": "a", "over": ("x",), "theory": {"arm": 0.0}},
+            "arm must be positive",
+            "",
+        ),
+        ({**PAIR, "theory": {"shaft": Uncertain(0.0)}}, "shaft must be positive", ""),
         (
             {"kind": "trend", "fit": "a", "over": ("x",), "kind_settings": 1},
             "not those of the kind trend",

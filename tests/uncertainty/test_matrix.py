@@ -174,7 +174,7 @@ PATH = {"load": "load", "x": "x", "y": "y"}
         ({"level": 0.0}, "between 0 and 100 %"),
         ({"level": 1.0}, "between 0 and 100 %"),
         ({"path": PATH}, "the load 'load' of the path is none of 'over'"),
-        ({"path": {**PATH, "clearance": 0.0}, "over": ("load",)}, "'clearance' must be positive"),
+        ({"path": {**PATH, "clearance": 0.0}, "over": ("load",)}, "clearance must be positive"),
         ({"path": {**PATH, "centre": (0.0,)}, "over": ("load",)}, "two coordinates"),
         ({"theory": {}}, "one of 'bearing' and 'table' is needed"),
         ({"theory": {"bearing": "b.yaml", "table": "t.csv"}}, "one of 'bearing' and 'table' is needed"),

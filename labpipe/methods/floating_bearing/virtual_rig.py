@@ -22,8 +22,15 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, quantity, require_positive, setting
-from labpipe.simulate.linear import TACHO, dynamic_stiffness, pulses
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
+from labpipe.simulate.linear import TACHO, check_matrices, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
 KIND = "virtual-floating-rig"
@@ -85,16 +92,15 @@ class Condition(Settings):
     pad: Pad | None = setting("section", "pad with inertia, added in x and in y", section=Pad, default=None)
 
     def __post_init__(self) -> None:
-        _check_matrices(self, "stiffness", "damping", "mass")
-        if self.speed < 0:
-            raise SettingError("speed", "the shaft speed must not be negative", "it turns from x to y")
+        check_matrices(self, 2, "stiffness", "damping", "mass")
+        require_not_negative(self, "speed")
         if self.film == "journal" and not (self.speed > 0 and self.load > 0):
             raise SettingError("film", "a journal bearing needs a speed and a load")
 
 
 @dataclass(frozen=True)
-class FloatingNoise(Settings):
-    """Standard deviations of the measuring noise of a sample, white up to half the sampling rate."""
+class FloatingNoise(StandardDeviations):
+    """Measuring noise of a sample, white up to half the sampling rate."""
 
     force: float = quantity("load cells", "N", 2.0)
     displacement: float = quantity("relative probes", "m", 2e-7)
@@ -161,10 +167,11 @@ class FloatingRig(Settings):
     )
 
     def __post_init__(self) -> None:
-        _check_matrices(self, "baseline_stiffness", "baseline_damping", "shaft_stiffness", "shaft_damping")
+        check_matrices(self, 2, "baseline_stiffness", "baseline_damping", "shaft_stiffness", "shaft_damping")
         require_positive(
             self, "stator_mass", "shaft_mass", "force", "spacing", "periods", "sample_rate", "gain"
         )
+        require_not_negative(self, "shaft_noise", "unbalance", "runout")
         if not self.conditions:
             raise SettingError("conditions", "conditions: are missing", "for example conditions: {dry: {}}")
         if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):
@@ -206,12 +213,6 @@ class FloatingRig(Settings):
             & (frequency > 0)
         )
         return inside, frequency[inside]
-
-
-def _check_matrices(owner: Settings, *names: str) -> None:
-    for name in names:
-        if np.shape(getattr(owner, name)) != (2, 2):
-            raise SettingError(name, f"{name} is not a 2 x 2 matrix")
 
 
 AXES = ("x", "y")

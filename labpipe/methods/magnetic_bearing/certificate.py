@@ -222,7 +222,8 @@ def _amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: 
         amounts |= {name: value for name, value in named.items() if np.isfinite(value) and value > 0}
     for number, pole in enumerate(modes, 1):
         amounts[f"f_n_{number}"] = float(np.abs(pole) / (2 * np.pi))
-        amounts[f"log_decrement_{number}"] = float(-2 * np.pi * pole.real / pole.imag)
+        if pole.imag:
+            amounts[f"log_decrement_{number}"] = float(-2 * np.pi * pole.real / pole.imag)
         amounts[f"pole_real_{number}"], amounts[f"pole_imag_{number}"] = float(pole.real), float(pole.imag)
     return amounts
 

@@ -15,7 +15,14 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -106,19 +113,14 @@ class Injection(Settings):
 
 
 @dataclass(frozen=True)
-class LevitatedNoise(Settings):
-    """Standard deviations of what the rig adds to the recordings, of the part up to half the sampling rate of
-    the recording.
-    """
+class LevitatedNoise(StandardDeviations):
+    """What the rig adds to the recordings, of the part up to half their sampling rate."""
 
     displacement: float = quantity("position sensors; it is in the loop", "m", 1e-7)
     current: float = quantity("measured currents", "A", 1e-4)
     force: float = quantity("measured force of a shaker", "N", 0.05)
     disturbance: float = quantity("random force on the rotor at every bearing and axis", "N", 1.0)
     reference: float = quantity("recorded injection, of the unit in which it is recorded", "1", 0.0)
-
-    def __post_init__(self) -> None:
-        require_not_negative(self, "displacement", "current", "force", "disturbance", "reference")
 
 
 @dataclass(frozen=True)
@@ -162,8 +164,7 @@ class LevitatedRig(Settings):
 
     def __post_init__(self) -> None:
         require_positive(self, "mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
-        if self.speed < 0:
-            raise SettingError("speed", "the shaft speed must not be negative", "it turns from x to y")
+        require_not_negative(self, "speed", "damping", "unbalance", "runout")
         if self.axes == "x" and (
             self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)
         ):

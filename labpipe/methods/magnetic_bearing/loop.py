@@ -52,6 +52,9 @@ class ControlLoop(Settings):
     def __post_init__(self) -> None:
         require_not_negative(self, "derivative_time", "lag_time", "delay")
         require_positive(self, "bandwidth", "sensor_bandwidth")
+        for name in ("sensor", "amplifier", "force_per_current"):
+            if not getattr(self, name):
+                raise SettingError(name, f"{name} must not be zero", "nothing closes the loop")
         self._check_blocks()
 
     def _check_blocks(self) -> None:

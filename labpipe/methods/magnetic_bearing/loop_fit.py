@@ -269,6 +269,8 @@ class LoopFit:
         return {parameter.name: parameter.value for parameter in self.parameters}
 
 
+# A step to where magnets outgrow all numbers is not taken.
+@np.errstate(over="ignore", invalid="ignore")
 def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> LoopFit:
     """Output-error fit of all responses weighted by their noise; every number with an uncertainty, the
     support's among them, is fitted within it. Without *names* only the goodness of fit of the loop as it is.
@@ -284,6 +286,8 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
         tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0)
     )
     start = problem.start
+    if not np.isfinite(problem.chi2(start)):
+        raise FitError("the loop outgrows all numbers", hint="check negative_stiffness and mass")
     # An unknown without influence on the response has no gradient.
     free = np.ones(start.size, bool)
     if _without_influence(problem, problem.jacobian(start)):

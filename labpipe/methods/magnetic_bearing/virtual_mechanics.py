@@ -10,7 +10,14 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -42,13 +49,10 @@ class Levitation(Settings):
 
 
 @dataclass(frozen=True)
-class Noise(Settings):
+class Noise(StandardDeviations):
     displacement: float = quantity("displacement sensors", "m", 0.3e-6)
     force: float = quantity("force transducer", "N", 0.02)
     hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)
-
-    def __post_init__(self) -> None:
-        require_not_negative(self, "displacement", "force", "hover")
 
 
 @dataclass(frozen=True)
@@ -75,9 +79,9 @@ class VirtualMagneticRig(Settings):
     noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())
 
     def __post_init__(self) -> None:
-        require_positive(
-            self, "pedestal_mass", "rotor_mass", "axial_mass", "pedestal_stiffness", "axial_stiffness"
-        )
+        require_positive(self, "pedestal_mass", "rotor_mass", "axial_mass", "radial_force", "actuator_gain")
+        require_positive(self, "pedestal_stiffness", "axial_stiffness")
+        require_not_negative(self, "pedestal_damping", "axial_damping", "speed", "unbalance")
         if self.rotor_mass <= self.pedestal_mass:
             raise SettingError("rotor_mass", "rotor_mass, with the pedestal, is above pedestal_mass")
 

@@ -41,7 +41,7 @@ from labpipe.methods.run_ups.rotor import (
     largest_displacement,
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -62,8 +62,8 @@ class ReadingSettings(Settings):
     threshold: float = quantity("of the threshold speed itself", "1", 0.002)
 
     def __post_init__(self) -> None:
-        if min(self.amplitude, self.phase, self.threshold) <= 0 or self.displacement < 0:
-            raise ConfigError("the noise of a reading is positive", hint="for example amplitude: 1 %")
+        require_positive(self, "amplitude", "phase", "threshold")
+        require_not_negative(self, "displacement")
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,7 @@ class TrialSettings(Settings):
             raise ConfigError("a trial has an unbalance or a shaker", hint=hint)
         if self.unbalance and not any(size for _, size in self.unbalance):
             raise SettingError("unbalance", "the trial unbalance is zero", "{disc 1: 50 g.mm at 0 deg}")
-        if min(self.force, self.ratio) <= 0:
-            raise ConfigError("force and ratio of a shaker are positive")
+        require_positive(self, "force", "ratio")
 
 
 @dataclass(frozen=True)
@@ -166,8 +165,9 @@ class RunUpPlanSettings(Settings):
         require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
         require_positive(self, "displacement_limit", "journal_limit")
         check_distinct(self, "loads")
-        if self.changeover < 0 or min(self.loads, default=0.0) <= 0:
-            raise SettingError("loads", "loads are positive, and so is the time between runs")
+        require_not_negative(self, "changeover")
+        if min(self.loads, default=0.0) <= 0:
+            raise SettingError("loads", "loads are positive")
         if self.speeds[0] <= 0 or self.stretches < 1:
             raise SettingError("speeds", "speeds begin above zero, and there is one stretch of them at least")
 

@@ -37,7 +37,14 @@ from labpipe.methods.planning.settings import (
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import (
+    Settings,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+    settings_of,
+)
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
@@ -102,10 +109,8 @@ class StatePlanSettings(Settings):
 
     def __post_init__(self) -> None:
         check_distinct(self, "loads", "speeds", *(["estimate"] if self.estimate else []))
-        if min(*self.loads, *self.speeds) <= 0:
-            raise SettingError("loads", "loads and speeds are positive")
-        if self.changeover < 0 or self.duration <= 0:
-            raise SettingError("duration", "times are positive")
+        require_positive(self, "loads", "speeds", "duration")
+        require_not_negative(self, "changeover")
         if self.periods < plan.FEWEST_PERIODS:
             what = f"{self.periods} periods in a run, the noise is known from {plan.FEWEST_PERIODS}"
             raise SettingError("run", what, f"a run of {plan.FEWEST_PERIODS * self.period:g} s or more")

@@ -19,7 +19,7 @@ import yaml
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import OperatingPoint
-from labpipe.errors import ConfigError, SettingError
+from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
@@ -35,7 +35,7 @@ from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -50,9 +50,8 @@ class WearNoise(Settings):
     force: float = quantity("of the force", "N", 0.0)
 
     def __post_init__(self) -> None:
-        if self.displacement <= 0 or self.force < 0:
-            what = "the noise of the displacement is positive"
-            raise ConfigError(what, hint="for example displacement: 1 um")
+        require_positive(self, "displacement")
+        require_not_negative(self, "force")
 
 
 @dataclass(frozen=True)
@@ -63,9 +62,7 @@ class WearGoal(Settings):
     angle: float | None = quantity("of the angle", "rad", None)
 
     def __post_init__(self) -> None:
-        if any(value is not None and value <= 0 for value in (self.depth, self.angle)):
-            hint = "for example {depth: 0.2 um, angle: 1 deg}"
-            raise ConfigError("a goal is a positive standard error", hint=hint)
+        require_positive(self, "depth", "angle")
 
 
 @dataclass(frozen=True)

@@ -48,15 +48,16 @@ class DecayRig(Settings):
     def __post_init__(self) -> None:
         if not self.frequencies or len(self.frequencies) != len(self.damping_ratios):
             raise SettingError("damping_ratios", "'damping_ratios' needs one value for every frequency")
-        highest = self.sample_rate / 2
-        if not all(0 < frequency < highest for frequency in self.frequencies):
-            raise SettingError("frequencies", f"frequencies must lie between 0 and {highest:g} Hz")
-        if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
-            raise SettingError("damping_ratios", "damping ratios must lie between 0 and 100 %")
         require_positive(self, "mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
         require_not_negative(self, "joint", "noise")
         if self.interval * self.sample_rate < 2:
             raise SettingError("interval", "'interval' is shorter than two samples", "interval: 4 s")
+        lowest, highest = 1 / self.interval, self.sample_rate / 2
+        if not all(lowest <= frequency < highest for frequency in self.frequencies):
+            what = f"frequencies must lie between {lowest:g} Hz, a period after a hit, and {highest:g} Hz"
+            raise SettingError("frequencies", what)
+        if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
+            raise SettingError("damping_ratios", "damping ratios must lie between 0 and 100 %")
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:

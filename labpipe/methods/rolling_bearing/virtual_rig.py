@@ -21,7 +21,14 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -47,6 +54,7 @@ class TestedBearing(Settings):
     )
 
     def __post_init__(self) -> None:
+        require_not_negative(self, "preloads")
         if self.bearing.shaft is None:
             raise ConfigError("bearing.shaft: is missing", hint="the rig needs the shaft's mass and inertia")
         require_positive(self, "bending_stiffness")
@@ -69,7 +77,7 @@ class Sampling(Settings):
 
 
 @dataclass(frozen=True)
-class RigNoise(Settings):
+class RigNoise(StandardDeviations):
     """Standard deviations of measuring noise and of settings."""
 
     acceleration: float = quantity("accelerometers", "m/s^2", 0.3)
@@ -110,6 +118,8 @@ class VirtualBallBearingRig(Settings):
         require_positive(self, "stiffness_ratio", "arm", "string_factor", "strip_factor")
         if self.angular is not None and self.angular.name == self.deep_groove.name:
             raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
+        require_positive(self, "mountings", "repeats")
+        require_not_negative(self, "damping_factor")
 
 
 @dataclass(frozen=True)

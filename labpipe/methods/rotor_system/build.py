@@ -19,7 +19,7 @@ from labpipe.methods.rotor import shaft
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
-from labpipe.records.settings import Settings, quantity, require_not_negative, settings_of
+from labpipe.records.settings import StandardDeviations, quantity
 
 # What a film's curve over the Sommerfeld number takes.
 ON_CURVE = ("clearance", "viscosity")
@@ -137,9 +137,9 @@ COEFFICIENTS = ("yy", "yz", "zy", "zz")
 
 
 @dataclass(frozen=True)
-class SmallErrors(Settings):
-    """Standard deviations of errors that no drawing knows and that are everywhere; 0 turns one off. They are
-    in the model, so that predictions carry them.
+class SmallErrors(StandardDeviations):
+    """Errors that no drawing knows and that are everywhere; 0 turns one off. They are in the model, so that
+    predictions carry them.
     """
 
     elements: float = quantity("stiffness of every element", "1", 0.01)
@@ -150,9 +150,6 @@ class SmallErrors(Settings):
     together: float = quantity(
         "stiffness and damping of all bearings alike, running against standing", "1", 0.0
     )
-
-    def __post_init__(self) -> None:
-        require_not_negative(self, *settings_of(SmallErrors))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import check_unknown
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, require_not_negative, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, setting
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -64,7 +64,7 @@ class SystemTest(Settings):
         "where dofs (response: {d1: 3 y}) or planes (run-up: {disc 1: 5}) are on the rotor",
         default=(),
     )
-    speed: float = setting("value", "response: speed of the rotor meanwhile", unit="Hz", default=0.0)
+    speed: float = quantity("response: speed of the rotor meanwhile", "Hz", 0.0)
     free: bool = setting(
         "flag", "response: of the rotor on soft strings, without its bearings", default=False
     )
@@ -81,13 +81,10 @@ class SystemTest(Settings):
         choices=AXES,
         default=AXES[0],
     )
-    slow_roll: float = setting(
-        "value",
-        "run-up: standard deviation of the slow roll left in a component, alike at all speeds",
-        unit="m",
-        default=0.0,
+    slow_roll: float = quantity(
+        "run-up: standard deviation of the slow roll left in a component, alike at all speeds", "m", 0.0
     )
-    gain: float = setting("value", "standard uncertainty of each sensor's gain", unit="1", default=0.0)
+    gain: float = quantity("standard uncertainty of each sensor's gain", "1", 0.0)
     deflections: tuple[tuple[str, str], ...] = setting(
         "texts", "static: at a place per force at another: {5 z / 10 z: 0.34 um/N +- 1.5 %}", default=()
     )

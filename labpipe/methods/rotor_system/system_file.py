@@ -19,7 +19,14 @@ from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pede
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import FileKind, Settings, require_positive, setting
+from labpipe.records.settings import (
+    FileKind,
+    Settings,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
 
@@ -54,16 +61,13 @@ class PedestalSettings(Settings):
     """One entry of ``pedestals:``: what carries a bearing."""
 
     bearing: str = setting("text", "name of the bearing")
-    mass: float = setting("value", "that moves with the bearing", unit="kg")
+    mass: float = quantity("that moves with the bearing", "kg")
     stiffness: Uncertain = setting("uncertain", "to ground, in y and z", unit="N/m")
-    damping: float = setting("value", "to ground", unit="N.s/m", default=0.0)
+    damping: float = quantity("to ground", "N.s/m", 0.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass")
-        if self.stiffness.value <= 0:
-            raise SettingError("stiffness", "stiffness must be positive")
-        if self.damping < 0:
-            raise SettingError("damping", "damping must not be negative")
+        require_positive(self, "mass", "stiffness")
+        require_not_negative(self, "damping")
 
 
 @dataclass(frozen=True)
@@ -75,8 +79,7 @@ class InternalSettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        if self.internal.value < 0:
-            raise SettingError("internal", "internal must not be negative")
+        require_not_negative(self, "internal")
 
 
 def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:

@@ -16,7 +16,7 @@ from labpipe.errors import SettingError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, require_positive, setting
+from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-rotor-rig"
@@ -43,20 +43,21 @@ class RotorTestRig(Settings):
     truth: int = setting(
         "integer", "seed of the truth, drawn from what is declared; 0: as declared in the middle", default=1
     )
-    amplitude: float = setting("value", "force on a line", unit="N", default=1.0)
+    amplitude: float = quantity("force on a line", "N", 1.0)
     band: tuple[float, float] = setting("band", "lines of the forces", unit="Hz", default=(10.0, 300.0))
-    spacing: float = setting("value", "distance of the lines, one over the period", unit="Hz", default=1.0)
+    spacing: float = quantity("distance of the lines, one over the period", "Hz", 1.0)
     periods: int = setting("integer", "periods recorded", default=6)
-    duration: float = setting("value", "of the run-up", unit="s", default=40.0)
-    acceleration_noise: float = setting("value", "standard deviation", unit="m/s^2", default=0.3)
-    force_noise: float = setting("value", "standard deviation", unit="N", default=0.02)
-    probe_noise: float = setting("value", "standard deviation", unit="m", default=1e-6)
-    gain: float = setting("value", "standard deviation of the probes' gains", unit="1", default=0.0)
-    sample_rate: float = setting("value", "sampling rate", unit="Hz", default=2000.0)
+    duration: float = quantity("of the run-up", "s", 40.0)
+    acceleration_noise: float = quantity("standard deviation", "m/s^2", 0.3)
+    force_noise: float = quantity("standard deviation", "N", 0.02)
+    probe_noise: float = quantity("standard deviation", "m", 1e-6)
+    gain: float = quantity("standard deviation of the probes' gains", "1", 0.0)
+    sample_rate: float = quantity("sampling rate", "Hz", 2000.0)
     system: RotorSystem | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "amplitude", "spacing", "duration", "sample_rate")
+        require_not_negative(self, "acceleration_noise", "force_noise", "probe_noise", "gain")
         if self.periods < 2:
             raise SettingError("periods", "at least two periods are needed")
         if any(node % 1 for node in (*self.accelerations, *self.probes)):

@@ -23,7 +23,7 @@ from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, require_positive, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate import virtual_rigs
 
@@ -48,9 +48,8 @@ class RunUpNoise(Settings):
     threshold: float = quantity("of the threshold speed itself", "1", 0.002)
 
     def __post_init__(self) -> None:
-        if min(self.amplitude, self.phase, self.threshold) <= 0:
-            hint = "fits weigh by it; for example amplitude: 1 %"
-            raise ConfigError("the noise of a run-up is positive", hint=hint)
+        # Fits weigh by it.
+        require_positive(self, *settings_of(RunUpNoise))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,8 +106,7 @@ class VirtualUnbalanceRig(Settings):
             raise ConfigError(
                 "viscosity_error and clearance_error lie between -50 % and 50 %, heating between 0 and 50 %"
             )
-        if not (self.shaker_force > 0 and self.shaker_ratio > 0):
-            raise ConfigError("shaker_force and shaker_ratio must be positive")
+        require_positive(self, "shaker_force", "shaker_ratio")
 
     @property
     def omega(self) -> FloatArray:

@@ -19,7 +19,14 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    quantity,
+    require_not_negative,
+    require_positive,
+    setting,
+)
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
@@ -31,8 +38,8 @@ LINES_AT_ONCE = 512
 
 
 @dataclass(frozen=True)
-class JournalNoise(Settings):
-    """Standard deviations of the measuring noise, white up to half the sampling rate."""
+class JournalNoise(StandardDeviations):
+    """Measuring noise, white up to half the sampling rate."""
 
     displacement: float = quantity("displacement sensors", "m", 1e-6)
     force: float = quantity("force transducer", "N", 0.05)
@@ -71,6 +78,7 @@ class VirtualJournalRig(Settings):
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
         require_positive(self, "force", "bandwidth", "sample_rate", "duration")
+        require_not_negative(self, "unbalance")
         if not self.bandwidth < self.sample_rate / 2:
             raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
         if not 0 <= self.lowest < self.bandwidth:

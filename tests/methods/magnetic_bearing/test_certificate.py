@@ -14,7 +14,7 @@ from scipy import stats
 
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.certificate import certificate
+from labpipe.methods.magnetic_bearing.certificate import _amounts, certificate
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.loop import margins
 from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
@@ -315,3 +315,15 @@ def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None
         certificate(asked(before=["after"], after=["after"]), plain, FILE)
     with pytest.raises(ConfigError, match="one test is needed"):
         compare(asked(), Evidence((), (plain, plain), ()))
+
+
+def test_magnets_that_outgrow_all_numbers_are_refused() -> None:
+    """exp(T sqrt(k / m)) = exp(2.8e10) of an interval T = 50 us is no number."""
+    with pytest.raises(FitError, match="the loop outgrows all numbers"):
+        certificate(asked(), response(None, 1e-5), replace(FILE, negative_stiffness=2e28))
+
+
+def test_a_pole_that_does_not_swing_has_no_logarithmic_decrement() -> None:
+    """A mode that the errors of the unknowns move to where it only decays: its decrement is infinite."""
+    found = _amounts(FILE.levitated(), None, np.array([-100 + 0j]), stable=False)
+    assert found == {"f_n_1": 100 / (2 * np.pi), "pole_real_1": -100.0, "pole_imag_1": 0.0}

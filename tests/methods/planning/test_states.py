@@ -136,7 +136,7 @@ def test_states_by_themselves(tests: list[StateTest]) -> None:
         ({"run": 0.4}, "2 periods in a run"),
         ({"goal": (("clearance", (0.01,)),)}, "no clearance is predicted"),
         ({"goal": (("k_xx", (0.0,)),)}, "one positive relative error"),
-        ({"loads": (0.0,)}, "loads and speeds are positive"),
+        ({"loads": (0.0,)}, "loads must be positive"),
         ({"loads": ()}, "loads: there is none"),
         ({"speeds": (25.0, 25.0)}, "speeds: one is there twice"),
         ({"estimate": ("clearance", "clearance")}, "estimate: one is there twice"),

@@ -158,7 +158,7 @@ def test_two_journal_bearings_between_pins_are_refused(tmp_path: Path, text: str
         ("rotors/falah.yaml", "rotors/fala.yaml", "no such file"),
         ("truth: outside", "truth: outsider", "unknown choice"),
         ("speeds: 400-3000 rpm", "speeds: 400-3000 kg", "wrong dimension"),
-        ("amplitude: 1 %", "amplitude: 0 %", "is positive"),
+        ("amplitude: 1 %", "amplitude: 0 %", "must be positive"),
     ],
 )
 def test_faults_of_the_virtual_rig(root: Path, tmp_path: Path, old: str, new: str, said: str) -> None:

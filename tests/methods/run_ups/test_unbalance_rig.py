@@ -153,7 +153,7 @@ def test_rigs_that_cannot_be_are_refused(changes: dict[str, object], said: str) 
 
 
 def test_no_noise_no_rotor_and_no_such_run_are_refused() -> None:
-    with pytest.raises(ConfigError, match="noise of a run-up is positive"):
+    with pytest.raises(ConfigError, match="amplitude must be positive"):
         RunUpNoise(amplitude=0.0)
     with pytest.raises(ConfigError, match="no rotor was read"):
         run_ups(dataclasses.replace(RIG, rig=None), 1)
