@@ -114,13 +114,15 @@ def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
 def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Rig | None:
     """The rig of *path* in which a recording's own ``channels:`` entries take the place of the rig file's."""
     tree = load_marked(path)
+    channels = tree.content.get("channels") if isinstance(tree.content, dict) else None
+    written = channels.content if channels is not None and isinstance(channels.content, dict) else {}
     for name, node in faults.mapping(entry, key).items():
-        channel = tree.content.get("channels", Marked({}, tree.where)).content.get(name)
-        if channel is None:
-            hint = nearest(name, tree.content["channels"].content)
+        own = faults.mapping(node, join(key, name))
+        if name not in written:
+            hint = nearest(name, written)
             faults.add(node, join(key, name), "the rig has no such channel", hint)
-        else:
-            channel.content.update(faults.mapping(node, join(key, name)))
+        elif isinstance(written[name].content, dict):
+            written[name] = replace(written[name], content={**written[name].content, **own})
     return read_rig(tree, faults)
 
 
@@ -161,8 +163,8 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         if len(stated) > 1:
             what = f"one of {stated[0]} and {stated[1]} is needed, not both"
             faults.add(entries[stated[1]], stated[0], what, "leave one of them out")
-        for name in ("sample_rate", "resample"):
-            if name in stated and getattr(settings, name) <= 0:
+        for name in ("sample_rate", "resample", "mass"):
+            if (value := getattr(settings, name)) is not None and value <= 0:
                 faults.add_at(entries, "", name, "must be positive")
     if len(faults) > before or settings is None:
         return None
@@ -444,6 +446,8 @@ def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -
     except UnitError as error:
         faults.add_unit(node.content["range"], join(key, "range"), error)
         return None
+    if lower >= upper:
+        faults.add_at(node.content, key, "range", "must rise", "for example '-10 V .. 10 V'")
     return lower, upper
 
 

@@ -341,23 +341,18 @@ class EachFile:
 
     def named(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
-        return (settings_reader.conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
+        return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
         """The test of a recording, by default named after its file.
 
         ConfigError for a name that does not match the pattern.
         """
-        stem = _stem(source.path)
+        stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
         conditions = {**self.conditions, **self.named(source.path)}
         return Test(name or stem, (source,), (), conditions, self.recorded, self.frf)
-
-
-def _stem(path: Path) -> str:
-    """A file's name up to its first point."""
-    return path.name.split(".")[0]
 
 
 @dataclass(frozen=True)
@@ -426,6 +421,10 @@ class TestReader:
     def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
         common, recorded = self._conditions(entries, key)
         pattern = entries["pattern"].text if "pattern" in entries else ""
+        for name in (*common, *recorded):
+            if f"{{{name}}}" in pattern:
+                what = "is in the pattern as well"
+                self.faults.add_at(entries["conditions"].content, "conditions", name, what, "leave one out")
         return EachFile(common, recorded, self._frf(entries, key), pattern)
 
     def each_file(self) -> EachFile:
