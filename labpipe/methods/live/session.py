@@ -20,7 +20,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
 from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, lasting
 from labpipe.methods.live.sources import Folder, Frames, Kept, SampleStream, is_old
-from labpipe.project.ingest import Calibration, channel_screen
+from labpipe.project.ingest import SAME_RATE, Calibration, channel_screen
 from labpipe.project.measured import KINDS
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
@@ -238,7 +238,11 @@ class Session:
             rows, self._head = np.concatenate(self._head), []
             if self.findings:
                 yield Update(0, findings=tuple(self.findings))
-        assert self.bench is not None
+        assert self.bench is not None and self._rate is not None
+        stated = self.stream.sample_rate
+        if stated and not self.rig.time and abs(stated / self._rate - 1) > SAME_RATE:
+            what = f"samples come at {stated:g} Hz, {self._rate:g} Hz by the rig file or what came before"
+            raise DataError(what, self.path, "leave sample_rate out of the rig file, or correct it")
         if self.stream.restarted:
             self.bench.restart()
         for piece in self._without_gaps(rows):
