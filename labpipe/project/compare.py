@@ -18,7 +18,7 @@ from labpipe.project.judging import comparison_outcome, matrix_outcome
 from labpipe.project.marked_yaml import set_entry
 from labpipe.project.pipeline_file import read_comparison, read_matrix
 from labpipe.project.work import COMPARE_PREFIX, Work
-from labpipe.quantities import UnitError, parse_unit, parse_value
+from labpipe.quantities import UnitError, name_of_dimension, parse_unit, parse_value
 from labpipe.raw_files.table import open_table
 from labpipe.records.comparison import (
     Comparisons,
@@ -196,8 +196,7 @@ def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointThe
 
 def _to_si(text: str, si_unit: str | None) -> tuple[float, float]:
     """(factor, offset) from the unit *text* to the one needed, or to SI; UnitError for another dimension."""
-    if si_unit is None:
-        return parse_unit(text).factor, parse_unit(text).offset
+    si_unit = si_unit or name_of_dimension(parse_unit(text).dimension)
     offset = parse_value(f"0 {text}", si_unit)
     return parse_value(f"1 {text}", si_unit) - offset, offset
 
@@ -213,9 +212,6 @@ def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
             raise DataError(f"has several columns of '{name}'", path, "leave one out")
         columns[name] = numbers, rest.rstrip("] ").strip() or table.units.get(column, "")
     return columns
-
-
-# How both are judged and shown.
 
 
 def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
@@ -245,14 +241,9 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
                 )
 
 
-def comparison_lines(comparisons: Comparisons) -> Iterator[str]:
-    """The statement of every comparison."""
-    return (f"{comparison.name}: {comparison.statement}" for comparison in comparisons)
-
-
-def matrix_lines(matrices: ConditionMatrices) -> Iterator[str]:
-    """The statement of every matrix."""
-    return (f"{matrix.name}: {matrix.statement}" for matrix in matrices)
+def statement_lines(records: Comparisons | ConditionMatrices) -> Iterator[str]:
+    """The statement of every one."""
+    return (f"{record.name}: {record.statement}" for record in records)
 
 
 COMPARE = PipelineSection(
@@ -268,7 +259,7 @@ COMPARE = PipelineSection(
     findings=findings,
     parameters=listed_amounts,
     report=comparison_sections,
-    terminal=comparison_lines,
+    terminal=statement_lines,
 )
 MATRIX = PipelineSection(
     words="One entry per matrix of tests: the coefficients of a fit over two conditions or more, under a "
@@ -284,5 +275,5 @@ MATRIX = PipelineSection(
     findings=matrix_findings,
     parameters=listed_points,
     report=matrix_sections,
-    terminal=matrix_lines,
+    terminal=statement_lines,
 )

@@ -168,9 +168,6 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
         ) from None
 
 
-# Reading one fit of the ``identify:`` section: its settings and those of its model.
-
-
 def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
     """The settings of a fit, `mass` by default that of the rig. None and faults where they cannot be read."""
     faults, before = reading.faults, len(reading.faults)
@@ -235,9 +232,6 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
         unknown -= settings_of(owner).keys()
     kinds = ((model, model_kind(model).section) for model in MODELS) if unknown else ()
     return next(((model, section) for model, section in kinds if section and section in entries), None)
-
-
-# Reading one entry of the ``compare:`` section: a question to tests that differ in a condition.
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
@@ -421,9 +415,8 @@ def _load(
         rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
     )
     results = entries["results"].text if "results" in entries else "whole"
-    if results == "auto":
-        # Of files written before: by the number of tests.
-        results = "whole"
+    # Of files written before: by the number of tests.
+    results = "whole" if results == "auto" else results
     if results not in RESULTS:
         faults.add_at(
             entries, "", "results", f"no way '{results}' to keep results", nearest(results, RESULTS)

@@ -24,15 +24,7 @@ from labpipe.registry import nearest
 PARTS = ("channels", "constants", "derived")
 # Entries of a recorded channel that a sum of channels does not have.
 RECORDED_ONLY = (
-    "unit",
-    "column",
-    "sensitivity",
-    "invert",
-    "delay",
-    "response",
-    "range",
-    "uncertainty",
-    "doubt",
+    *("unit", "column", "sensitivity", "invert", "delay", "response", "range", "uncertainty", "doubt"),
 )
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
@@ -260,9 +252,10 @@ def _read_sums(
     quantities = {
         name: entry.content["quantity"].text
         for name, entry in entries.items()
-        if isinstance(entry.content, dict) and "quantity" in entry.content
+        if isinstance(entry.content, dict)
+        and "quantity" in entry.content
+        and entry.content["quantity"].text in QUANTITIES
     }
-    quantities = {name: quantity for name, quantity in quantities.items() if quantity in QUANTITIES}
     reader = SumReader(quantities, constants)
     settings = {
         name: read_settings(ChannelSettings, entry, join("channels", name), faults)
@@ -283,7 +276,7 @@ def _read_sums(
             faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
     names = {*terms, *(channel.channel.name for channel in recorded)}
     whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in names for term in sum_)}
-    channels = [_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole]
+    channels = (_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole)
     return tuple(channel for channel in channels if channel is not None)
 
 
