@@ -18,7 +18,7 @@ from labpipe.project.judging import comparison_outcome, matrix_outcome
 from labpipe.project.marked_yaml import set_entry
 from labpipe.project.pipeline_file import read_comparison, read_matrix
 from labpipe.project.work import COMPARE_PREFIX, Work
-from labpipe.quantities import UnitError, parse_unit
+from labpipe.quantities import UnitError, name_of_dimension, parse_unit, parse_value
 from labpipe.raw_files.table import open_table
 from labpipe.records.comparison import (
     Comparisons,
@@ -153,50 +153,65 @@ def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointThe
     Columns are conditions and coefficients, with their unit in brackets (SI without one). A point outside the
     table has no theory. DataError where a column of a condition is missing, or a unit does not fit.
     """
-    columns = _si_columns(path)
+    columns = _columns(path)
     for name in over:
         if name not in columns:
             raise DataError(f"has no column of the condition '{name}'", path, nearest(name, columns))
-    coefficients = {name: values for name, values in columns.items() if name not in over}
-    places = [columns[name] for name in over]
 
-    def at(conditions: tuple[float, ...], _units: tuple[str, ...]) -> Mapping[str, float]:
+    def in_si(name: str, unit: str | None) -> FloatArray:
+        values, text = columns[name]
+        try:
+            factor, offset = _to_si(text, unit) if text else (1.0, 0.0)
+        except UnitError as error:
+            raise DataError(f"column '{name}': {error.what}", path, error.hint) from None
+        return values * factor + offset
+
+    coefficients = {
+        name: in_si(name, COEFFICIENT_UNITS.get(name[0]) if name[1:2] == "_" else None)
+        for name in columns
+        if name not in over
+    }
+
+    def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
+        places = [in_si(name, unit) for name, unit in zip(over, units, strict=True)]
         matching = np.ones(places[0].size, bool)
         for values, condition in zip(places[1:], conditions[1:], strict=True):
             _, number = levels_of(np.append(values, condition), tolerance)
             matching &= number[:-1] == number[-1]
         order = np.flatnonzero(matching)[np.argsort(places[0][matching], kind="stable")]
         x = places[0][order]
+        if np.any(twice := np.diff(x) == 0):
+            what = f"has several rows at {over[0]} {x[:-1][twice][0]:.6g} {units[0]}"
+            raise DataError(what, path, "one row for each point; other conditions belong in over:")
         reach = tolerance * float(np.max(np.abs(x), initial=0.0))
         if not x.size or not x[0] - reach <= conditions[0] <= x[-1] + reach:
             return {}
-        return {
+        theory = {
             name: float(np.interp(conditions[0], x, values[order])) for name, values in coefficients.items()
         }
+        return {name: value for name, value in theory.items() if np.isfinite(value)}
 
     return at
 
 
-def _si_columns(path: Path) -> dict[str, FloatArray]:
-    """The columns of a table in SI by their names without the unit."""
+def _to_si(text: str, si_unit: str | None) -> tuple[float, float]:
+    """(factor, offset) from the unit *text* to the one needed, or to SI; UnitError for another dimension."""
+    si_unit = si_unit or name_of_dimension(parse_unit(text).dimension)
+    offset = parse_value(f"0 {text}", si_unit)
+    return parse_value(f"1 {text}", si_unit) - offset, offset
+
+
+def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
+    """The columns of a table as they are written and their units, by their names without the unit."""
     table = open_table(path)
     values = np.concatenate(list(table.chunks(table.columns)))
-    columns: dict[str, FloatArray] = {}
+    columns: dict[str, tuple[FloatArray, str]] = {}
     for column, numbers in zip(table.columns, values.T, strict=True):
         name, _, rest = map(str.strip, column.partition("["))
-        text = rest.rstrip("] ").strip() or table.units.get(column, "")
-        try:
-            unit = parse_unit(text) if text else None
-            coefficient = COEFFICIENT_UNITS.get(name[0]) if name[1:2] == "_" else None
-            if unit is not None and coefficient and unit.dimension != parse_unit(coefficient).dimension:
-                raise UnitError(f"{text} is no unit of '{name}'", f"for example {coefficient}")
-        except UnitError as error:
-            raise DataError(f"column '{column}': {error.what}", path, error.hint) from None
-        columns[name] = numbers if unit is None else numbers * unit.factor + unit.offset
+        if name in columns:
+            raise DataError(f"has several columns of '{name}'", path, "leave one out")
+        columns[name] = numbers, rest.rstrip("] ").strip() or table.units.get(column, "")
     return columns
-
-
-# How both are judged and shown.
 
 
 def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
@@ -226,14 +241,9 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
                 )
 
 
-def comparison_lines(comparisons: Comparisons) -> Iterator[str]:
-    """The statement of every comparison."""
-    return (f"{comparison.name}: {comparison.statement}" for comparison in comparisons)
-
-
-def matrix_lines(matrices: ConditionMatrices) -> Iterator[str]:
-    """The statement of every matrix."""
-    return (f"{matrix.name}: {matrix.statement}" for matrix in matrices)
+def statement_lines(records: Comparisons | ConditionMatrices) -> Iterator[str]:
+    """The statement of every one."""
+    return (f"{record.name}: {record.statement}" for record in records)
 
 
 COMPARE = PipelineSection(
@@ -249,7 +259,7 @@ COMPARE = PipelineSection(
     findings=findings,
     parameters=listed_amounts,
     report=comparison_sections,
-    terminal=comparison_lines,
+    terminal=statement_lines,
 )
 MATRIX = PipelineSection(
     words="One entry per matrix of tests: the coefficients of a fit over two conditions or more, under a "
@@ -265,5 +275,5 @@ MATRIX = PipelineSection(
     findings=matrix_findings,
     parameters=listed_points,
     report=matrix_sections,
-    terminal=matrix_lines,
+    terminal=statement_lines,
 )

@@ -119,41 +119,34 @@ MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
-    """What recordings give: the *name* of the kind in headers, how it is made, written and read."""
+    """What recordings give: the *name* of the kind in headers, how it is written and read."""
 
     name: str
     suffix: str
-    make: Callable[..., Any]
     write: Callable[[Path, Any, Header], None]
     read: Callable[[Path], Any]
 
 
-def _response(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> FrequencyResponse:
+KINDS = {
+    RESPONSES: _Kind("frf", RESPONSE_SUFFIX, write_response, read_response),
+    DECAYS: _Kind("decay", DECAY_SUFFIX, write_decays, read_decays),
+    SPECTRA: _Kind("spectra", SPECTRA_SUFFIX, write_spectra, read_spectra),
+}
+
+
+def measurement(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> MeasuredTest:
+    """What recordings give; a run that finds all fresh imports none of what measures."""
+    if settings.gives == DECAYS:
+        from labpipe.spectra.free_decays import free_decays
+
+        return free_decays(recordings, settings, **of_test)
+    if settings.gives == SPECTRA:
+        from labpipe.spectra.all_channels import channel_spectra
+
+        return channel_spectra(recordings, settings, **of_test)
     from labpipe.spectra.measurement import measure
 
     return measure(recordings, settings, **of_test)
-
-
-def _free_decays(recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any) -> FreeDecays:
-    from labpipe.spectra.free_decays import free_decays
-
-    return free_decays(recordings, settings, **of_test)
-
-
-def _channel_spectra(
-    recordings: Sequence[SampleSource], settings: FrfSettings, **of_test: Any
-) -> ChannelSpectra:
-    from labpipe.spectra.all_channels import channel_spectra
-
-    return channel_spectra(recordings, settings, **of_test)
-
-
-# What measures is imported when something is measured: a run that finds all fresh needs none of it.
-KINDS = {
-    RESPONSES: _Kind("frf", RESPONSE_SUFFIX, _response, write_response, read_response),
-    DECAYS: _Kind("decay", DECAY_SUFFIX, _free_decays, write_decays, read_decays),
-    SPECTRA: _Kind("spectra", SPECTRA_SUFFIX, _channel_spectra, write_spectra, read_spectra),
-}
 
 
 def _kind_of_file(path: Path) -> _Kind | None:
@@ -200,17 +193,17 @@ def measure_test(
     if there and (existing := fresh_path(output, name, header())) is not None:
         return kind.read(existing)
     try:
-        measured: MeasuredTest = kind.make(recordings, settings, name=test, conditions=conditions)
+        result = measurement(recordings, settings, name=test, conditions=conditions)
     except LabpipeError as error:
         error.where = error.where or where_recorded(recordings)
         raise
     except LinAlgError as error:
         what = f"a matrix of spectra has no solution ({error})"
         raise DataError(what, where_recorded(recordings), ALIKE) from error
-    if isinstance(measured, FrequencyResponse):
-        measured = measured.with_findings(seen())
-    kind.write(output.write_path(name), measured, header())
-    return measured
+    if isinstance(result, FrequencyResponse):
+        result = result.with_findings(seen())
+    kind.write(output.write_path(name), result, header())
+    return result
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
@@ -224,11 +217,11 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
         from labpipe.project.ready_response import load_response
 
         return load_response(path, name, conditions)
-    measured: MeasuredTest = kind.read(path)
-    name, conditions = name or measured.name, conditions or measured.conditions
-    if isinstance(measured, FrequencyResponse):
-        return measured.renamed(name, conditions)
-    return dataclasses.replace(measured, name=name, conditions=conditions)
+    result: MeasuredTest = kind.read(path)
+    name, conditions = name or result.name, conditions or result.conditions
+    if isinstance(result, FrequencyResponse):
+        return result.renamed(name, conditions)
+    return dataclasses.replace(result, name=name, conditions=conditions)
 
 
 def load_ready_measured(

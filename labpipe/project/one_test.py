@@ -130,10 +130,10 @@ def result_of_test(
     )
 
 
-def failed_result(test: Test, message: str, sources: Sequence[SourceRef] = ()) -> TestResult:
+def failed_result(test: Test, message: str) -> TestResult:
     """The result of a test that could not be evaluated, and why."""
-    entries = {**identity(test, test.conditions), "failed": message, "source": digest_of_sources(sources)}
-    return TestResult(rows=(DatasetRow(**entries),))  # type: ignore[arg-type]
+    row = DatasetRow(**identity(test, test.conditions), failed=message)  # type: ignore[arg-type]
+    return TestResult(rows=(row,))
 
 
 def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
@@ -178,9 +178,6 @@ def digest_of_sources(sources: Sequence[SourceRef]) -> str:
         return digests[0] if digests else ""
     return hashlib.sha256("".join(digests).encode()).hexdigest()
 
-
-# The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, so
-# that any process can do it.
 
 Tell = Callable[[str], None]
 # Errors of the machine, not of a recording: no room left, or a disk that takes nothing.
@@ -376,12 +373,10 @@ def _seen_in_files(job: Job) -> list[Finding]:
     if job.frf is None or job.frf.windowed is None:
         return []
     for source in job.test.recordings:
-        if is_recording(source.path):
-            continue
-        measured = [part.column for part in source.rig.channels if part.channel.role == "output"]
-        finding = windows_of_copies_alone(open_table(source.path), measured)
-        if finding is not None:
-            return [finding]
+        if not is_recording(source.path):
+            measured = [part.column for part in source.rig.channels if part.channel.role == "output"]
+            if (finding := windows_of_copies_alone(open_table(source.path), measured)) is not None:
+                return [finding]
     return []
 
 

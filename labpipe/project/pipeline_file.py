@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_k
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
-from labpipe.project.tests import EachFile, SourceFile, Test, TestReader, read_rig
+from labpipe.project.tests import SINGLE, EachFile, SourceFile, Test, TestReader, read_rig
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections
@@ -98,16 +98,18 @@ class UncertaintySettings(Settings):
                 "draws", "'draws' are of method monte-carlo", "method: monte-carlo, or leave it out"
             )
 
-    def of(self, fit: FitSettings, repeats: tuple[RepeatSource, ...] = ()) -> FitSettings:
-        """A fit with these settings where it has none of its own, and with the scatter between *repeats*."""
-        by_draws = self.method == "monte-carlo" and "monte_carlo" in fit.kind.keys
-        draws = fit.monte_carlo or (self.draws if by_draws else 0)
-        coverage = self.coverage if fit.coverage == FitSettings.coverage else fit.coverage
+    def of(
+        self, fit: FitSettings, stated: Container[str], repeats: tuple[RepeatSource, ...] = ()
+    ) -> FitSettings:
+        """A fit with these settings but those *stated* by it, and with the scatter between *repeats*."""
+        by_draws = self.method != METHODS[0] and "monte_carlo" in fit.kind.keys
+        draws = self.draws if by_draws and "monte_carlo" not in stated else fit.monte_carlo
+        coverage = fit.coverage if "coverage" in stated else self.coverage
         return replace(fit, coverage=coverage, monte_carlo=draws, between=repeats)
 
 
-def read_uncertainty(node: Marked, faults: Faults) -> Callable[[FitSettings], FitSettings] | None:
-    """What the section makes of the settings of a fit; None and faults where it cannot be read."""
+def read_uncertainty(node: Marked, faults: Faults) -> Callable[..., FitSettings] | None:
+    """What the section makes of a fit and its keys; None and faults where it cannot be read."""
     before = len(faults)
     settings = read_settings(UncertaintySettings, node, "uncertainty", faults)
     if settings is None:
@@ -164,9 +166,6 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
         raise UnitError(
             f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
         ) from None
-
-
-# Reading one fit of the ``identify:`` section: its settings and those of its model.
 
 
 def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
@@ -233,9 +232,6 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
         unknown -= settings_of(owner).keys()
     kinds = ((model, model_kind(model).section) for model in MODELS) if unknown else ()
     return next(((model, section) for model, section in kinds if section and section in entries), None)
-
-
-# Reading one entry of the ``compare:`` section: a question to tests that differ in a condition.
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
@@ -412,14 +408,15 @@ def _load(
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
         if of_all is not None and "identify" in settings:
-            settings["identify"] = tuple(of_all(fit) for fit in settings["identify"])
+            settings["identify"] = tuple(
+                of_all(fit, entries["identify"].content[fit.name].content) for fit in settings["identify"]
+            )
     rules = tuple(
         rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
     )
     results = entries["results"].text if "results" in entries else "whole"
-    if results == "auto":
-        # Of files written before: by the number of tests.
-        results = "whole"
+    # Of files written before: by the number of tests.
+    results = "whole" if results == "auto" else results
     if results not in RESULTS:
         faults.add_at(
             entries, "", "results", f"no way '{results}' to keep results", nearest(results, RESULTS)
@@ -475,7 +472,10 @@ def _read_entry(node: Marked, key: str, name: str, entry: PipelineSection, readi
 def _check_whole(
     tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
 ) -> None:
-    """Faults of the file as a whole: no work, missing sections."""
+    """Faults of the file as a whole: no work, missing sections, entries beside `tests:`."""
+    for key in SINGLE:
+        if key in entries and "tests" in entries:
+            faults.add_at(entries, "", key, "has no effect beside tests:", "write it in each test")
     if (
         not tests
         and not any(key in entries for key in RECORDED)

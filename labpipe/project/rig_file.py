@@ -16,14 +16,7 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import (
-    FileKind,
-    Settings,
-    Uncertainties,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -31,15 +24,7 @@ from labpipe.registry import nearest
 PARTS = ("channels", "constants", "derived")
 # Entries of a recorded channel that a sum of channels does not have.
 RECORDED_ONLY = (
-    "unit",
-    "column",
-    "sensitivity",
-    "invert",
-    "delay",
-    "response",
-    "range",
-    "uncertainty",
-    "doubt",
+    *("unit", "column", "sensitivity", "invert", "delay", "response", "range", "uncertainty", "doubt"),
 )
 DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output", "acceleration": "output"}
 
@@ -63,10 +48,6 @@ class RigSettings(Settings):
     )
     mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
     uncertainties: Uncertainties = ()
-
-    def __post_init__(self) -> None:
-        require_positive(self, "sample_rate", "resample")
-        require_not_negative(self, "mass")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,13 +106,15 @@ def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
 def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Rig | None:
     """The rig of *path* in which a recording's own ``channels:`` entries take the place of the rig file's."""
     tree = load_marked(path)
+    channels = tree.content.get("channels") if isinstance(tree.content, dict) else None
+    written = channels.content if channels is not None and isinstance(channels.content, dict) else {}
     for name, node in faults.mapping(entry, key).items():
-        channel = tree.content.get("channels", Marked({}, tree.where)).content.get(name)
-        if channel is None:
-            hint = nearest(name, tree.content["channels"].content)
+        own = faults.mapping(node, join(key, name))
+        if name not in written:
+            hint = nearest(name, written)
             faults.add(node, join(key, name), "the rig has no such channel", hint)
-        else:
-            channel.content.update(faults.mapping(node, join(key, name)))
+        elif isinstance(written[name].content, dict):
+            written[name] = replace(written[name], content={**written[name].content, **own})
     return read_rig(tree, faults)
 
 
@@ -172,6 +155,9 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
         if len(stated) > 1:
             what = f"one of {stated[0]} and {stated[1]} is needed, not both"
             faults.add(entries[stated[1]], stated[0], what, "leave one of them out")
+        for name in ("sample_rate", "resample", "mass"):
+            if (value := getattr(settings, name)) is not None and value <= 0:
+                faults.add_at(entries, "", name, "must be positive")
     if len(faults) > before or settings is None:
         return None
     return Rig(
@@ -266,9 +252,10 @@ def _read_sums(
     quantities = {
         name: entry.content["quantity"].text
         for name, entry in entries.items()
-        if isinstance(entry.content, dict) and "quantity" in entry.content
+        if isinstance(entry.content, dict)
+        and "quantity" in entry.content
+        and entry.content["quantity"].text in QUANTITIES
     }
-    quantities = {name: quantity for name, quantity in quantities.items() if quantity in QUANTITIES}
     reader = SumReader(quantities, constants)
     settings = {
         name: read_settings(ChannelSettings, entry, join("channels", name), faults)
@@ -289,7 +276,7 @@ def _read_sums(
             faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
     names = {*terms, *(channel.channel.name for channel in recorded)}
     whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in names for term in sum_)}
-    channels = [_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole]
+    channels = (_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole)
     return tuple(channel for channel in channels if channel is not None)
 
 
@@ -452,6 +439,8 @@ def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -
     except UnitError as error:
         faults.add_unit(node.content["range"], join(key, "range"), error)
         return None
+    if lower >= upper:
+        faults.add_at(node.content, key, "range", "must rise", "for example '-10 V .. 10 V'")
     return lower, upper
 
 

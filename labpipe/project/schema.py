@@ -200,15 +200,14 @@ def object_schema(owner: type) -> dict[str, Any]:
     """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
     properties = {
-        name: {**_kind(setting), "description": _description(setting)}
+        name: {
+            **_kind(setting),
+            "description": f"{setting.help} [{setting.unit}]" if setting.unit else setting.help,
+        }
         for name, (setting, _) in settings.items()
     }
     required = [name for name, (_, needed) in settings.items() if needed]
     return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
-
-
-def _description(setting: Setting) -> str:
-    return f"{setting.help} [{setting.unit}]" if setting.unit else setting.help
 
 
 def _kind(setting: Setting) -> dict[str, Any]:

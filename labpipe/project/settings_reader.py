@@ -427,8 +427,8 @@ def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
 
 def plain_stem(path: Path) -> str:
     """The name of a file without its ending, nor that of its compression."""
-    name = path.name[: -len(path.suffix)] if path.suffix.lower() in (".gz", ".zst") else path.name
-    return Path(name).stem.removesuffix(".frf")
+    name = path.stem if path.suffix.lower() in (".gz", ".zst") else path.name
+    return Path(name).stem.removesuffix(".frf").removesuffix(".recording")
 
 
 def listed(node: Marked) -> list[Marked]:

@@ -59,16 +59,13 @@ def simulate_files(
     simulation = virtual_rigs.simulate(rig, seed, runs)
     names, stems = [], file_stems(simulation.files, "runs")
     for run, content in simulation.files.items():
-        name = f"{stems[run]}{_suffix(content)}"
+        in_parquet = isinstance(content, virtual_rigs.LoggedTable) and not content.text
+        name = f"{stems[run]}.{'parquet' if in_parquet else 'csv'}"
         WRITERS[type(content)](output.write_path(name), content)
         names.append(name)
     entries = {"seed": seed, "rig": rig.name, **simulation.truth}
     output.write_path(TRUTH).write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
     return [*names, TRUTH]
-
-
-def _suffix(content: virtual_rigs.LoggedTable | FrequencyResponse | virtual_rigs.LoggedFile) -> str:
-    return ".parquet" if isinstance(content, virtual_rigs.LoggedTable) and not content.text else ".csv"
 
 
 def _write_table(path: Path, table: virtual_rigs.LoggedTable) -> None:

@@ -120,7 +120,14 @@ def _noise_figure(study: Study) -> Figure:
     """Median error, RMSE over the bound, coverage and success over the noise; grey: required."""
     fits = list(dict.fromkeys(case.fit for case in study.cases))
     panels = []
-    for title, unit, logarithmic, value, goal in _quantities(study):
+    # Title, unit, logarithmic axis, value of a case, required value of every panel.
+    quantities: tuple[tuple[str, str, bool, Callable[[StudyCase], float | None], float | None], ...] = (
+        ("median error", "", True, lambda case: case.median_error, None),
+        ("RMSE / CRLB", "", True, lambda case: case.rmse_over_bound, 1.0),
+        ("coverage", "%", False, lambda case: None if case.coverage is None else 100 * case.coverage, 95.0),
+        ("success", "%", False, lambda case: 100 * case.success[0], 100 * study.share),
+    )
+    for title, unit, logarithmic, value, goal in quantities:
         series = [
             _curve([case for case in study.cases if case.fit == fit], value, number)
             for number, fit in enumerate(fits)
@@ -137,18 +144,6 @@ def _noise_figure(study: Study) -> Figure:
         f"Study on {study.rig}: error, efficiency, coverage and success of {', '.join(fits)} over the noise"
     )
     return Figure(stack(panels, 7.4), caption, alternative)
-
-
-def _quantities(
-    study: Study,
-) -> tuple[tuple[str, str, bool, Callable[[StudyCase], float | None], float | None], ...]:
-    """(title, unit, logarithmic axis, value of a case, required value) of every panel."""
-    return (
-        ("median error", "", True, lambda case: case.median_error, None),
-        ("RMSE / CRLB", "", True, lambda case: case.rmse_over_bound, 1.0),
-        ("coverage", "%", False, lambda case: None if case.coverage is None else 100 * case.coverage, 95.0),
-        ("success", "%", False, lambda case: 100 * case.success[0], 100 * study.share),
-    )
 
 
 def _curve(cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None], number: int) -> Series:

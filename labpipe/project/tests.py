@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,7 +41,7 @@ class ReadyFrf:
 
     def absolute(self) -> ReadyFrf:
         """The same for a process that works in another folder."""
-        return dataclasses.replace(self, paths=tuple(path.absolute() for path in self.paths))
+        return replace(self, paths=tuple(path.absolute() for path in self.paths))
 
 
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
@@ -64,22 +63,14 @@ def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[Re
     layout = settings_reader.read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
-    files: list[tuple[Path, ...]]
-    if layout.file:
-        files = [
-            (path,)
-            for path in settings_reader.files_of(
-                node.content["file"], settings_reader.join(key, "file"), faults
-            )
-        ]
-    else:
-        named = [
-            settings_reader.files_of(item, settings_reader.join(key, "each"), faults)
-            for item in settings_reader.listed(node.content["each"])
-        ]
-        files = [tuple(path for paths in named for path in paths)]
+    word = "file" if layout.file else "each"
+    named = [
+        path
+        for item in settings_reader.listed(node.content[word])
+        for path in settings_reader.files_of(item, settings_reader.join(key, word), faults)
+    ]
     frfs = []
-    for paths in filter(None, files):
+    for paths in filter(None, [(path,) for path in named] if layout.file else [tuple(named)]):
         before = len(faults)
         # Files of one pattern do not match it alike; the first says so.
         dofs = [_dofs(path, layout, node, key, faults) for path in paths if len(faults) == before]
@@ -138,9 +129,6 @@ def _check_dofs(
         hint = "several are the rows or columns of a matrix"
         faults.add_at(node.content, key, word, "one dof is needed", hint)
 
-
-# Reading the entries under ``recordings:``: files, the rig that recorded each, and dofs that the names of
-# the files say.
 
 KEYS = ("file", "each", "join", "by", "pattern", "rig", "channels")
 BY = ("time", "sample")
@@ -248,10 +236,9 @@ class RecordingReader:
         sources = []
         before = len(self.faults)
         for path in paths:
-            sources.append(SourceFile(path, self._move(rig, path, entry, key)))
-            if len(self.faults) > before:
-                # The other files would say the same.
-                break
+            # After a fault the other files would say the same.
+            if len(self.faults) == before:
+                sources.append(SourceFile(path, self._move(rig, path, entry, key)))
         return sources
 
     def _by(self, entry: Marked, key: str) -> str:
@@ -287,12 +274,9 @@ class RecordingReader:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
             return None
         if "channels" not in entry.content:
-            rig_of_test = "rig" in entry.content
-            return (
-                read_rig(rig_node, self.folder, self.faults, settings_reader.join(key, "rig"))
-                if rig_of_test
-                else self.rig
-            )
+            if "rig" not in entry.content:
+                return self.rig
+            return read_rig(rig_node, self.folder, self.faults, settings_reader.join(key, "rig"))
         try:
             path, channels = self.folder / rig_node.text, entry.content["channels"]
             return override_channels(path, channels, self.faults, settings_reader.join(key, "channels"))
@@ -300,8 +284,6 @@ class RecordingReader:
             self.faults.merge(error)
             return None
 
-
-# Reading the tests of a pipeline file: recordings of one FRF matrix each, and their conditions.
 
 SINGLE = ("recordings", "frfs", "conditions")
 LISTED = ("name", *SINGLE, "frf", "repeats")
@@ -341,23 +323,18 @@ class EachFile:
 
     def named(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
-        return (settings_reader.conditions_in(_stem(path), self.pattern) or {}) if self.pattern else {}
+        return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
         """The test of a recording, by default named after its file.
 
         ConfigError for a name that does not match the pattern.
         """
-        stem = _stem(source.path)
+        stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
         conditions = {**self.conditions, **self.named(source.path)}
         return Test(name or stem, (source,), (), conditions, self.recorded, self.frf)
-
-
-def _stem(path: Path) -> str:
-    """A file's name up to its first point."""
-    return path.name.split(".")[0]
 
 
 @dataclass(frozen=True)
@@ -426,6 +403,10 @@ class TestReader:
     def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
         common, recorded = self._conditions(entries, key)
         pattern = entries["pattern"].text if "pattern" in entries else ""
+        for name in (*common, *recorded):
+            if f"{{{name}}}" in pattern:
+                what = "is in the pattern as well"
+                self.faults.add_at(entries["conditions"].content, "conditions", name, what, "leave one out")
         return EachFile(common, recorded, self._frf(entries, key), pattern)
 
     def each_file(self) -> EachFile:

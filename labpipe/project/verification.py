@@ -152,7 +152,7 @@ def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
     base = base or pipeline_folder(path.parent if (path.parent / NAME).exists() else path.parent.parent)
     for (name, sha256), folders in [
         *((source, [base] if base else []) for source in sources),
-        *((file, _near(path)) for file in inputs),
+        *((file, [path.parent, path.parent / "recordings", path.parent.parent]) for file in inputs),
     ]:
         actual = _digest(name, folders)
         if actual is None:
@@ -190,11 +190,6 @@ def pipeline_folder(path: Path) -> Path | None:
     above = list(path.resolve().parents)[:ABOVE]
     near = (folder for place in above for folder in (place, place / "pipelines"))
     return next((folder for folder in near if name and (folder / name).is_file()), None)
-
-
-def _near(path: Path) -> list[Path]:
-    """Where the files that an artefact was made from stand in a folder of results."""
-    return [path.parent, path.parent / "recordings", path.parent.parent]
 
 
 def differences(first: Path, second: Path) -> list[str]:

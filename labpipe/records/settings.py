@@ -435,6 +435,24 @@ class Settings:
     def __post_init__(self) -> None:
         _convert(self)
 
+    def require_positive(self, *names: str) -> None:
+        """ConfigError for the first of the entries that holds a number not above zero."""
+        for name in names:
+            if not all(number > 0 for number in self._numbers(name)):
+                raise SettingError(name, f"{name} must be positive")
+
+    def require_not_negative(self, *names: str) -> None:
+        """ConfigError for the first of the entries that holds a number below zero."""
+        for name in names:
+            if any(number < 0 for number in self._numbers(name)):
+                raise SettingError(name, f"{name} must not be negative")
+
+    def _numbers(self, name: str) -> tuple[float, ...]:
+        """The numbers of an entry, none where it is not given."""
+        value = getattr(self, name)
+        value = value.value if isinstance(value, Uncertain) else value
+        return value if isinstance(value, tuple) else () if value is None else (value,)
+
     @property
     def written(self) -> list[str]:
         """Names of the declared settings that are not as they are by default."""
@@ -501,32 +519,11 @@ def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
     return setting("value", help, unit=unit, default=default)
 
 
-def require_positive(settings: Any, *names: str) -> None:
-    """ConfigError for the first of the entries that holds a number not above zero."""
-    for name in names:
-        if not all(number > 0 for number in _numbers_of(settings, name)):
-            raise SettingError(name, f"{name} must be positive")
-
-
-def require_not_negative(settings: Any, *names: str) -> None:
-    """ConfigError for the first of the entries that holds a number below zero."""
-    for name in names:
-        if any(number < 0 for number in _numbers_of(settings, name)):
-            raise SettingError(name, f"{name} must not be negative")
-
-
-def _numbers_of(settings: Any, name: str) -> tuple[float, ...]:
-    """The numbers of an entry, none where it is not given."""
-    value = getattr(settings, name)
-    value = value.value if isinstance(value, Uncertain) else value
-    return value if isinstance(value, tuple) else () if value is None else (value,)
-
-
 class StandardDeviations(Settings):
     """Settings all of which are standard deviations, none below zero."""
 
     def __post_init__(self) -> None:
-        require_not_negative(self, *settings_of(type(self)))
+        self.require_not_negative(*settings_of(type(self)))
 
 
 def settings_of(owner: type) -> dict[str, tuple[Setting, bool]]:

@@ -21,14 +21,7 @@ from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
 from labpipe.simulate import virtual_rigs
 
 # A free decay is followed until this share of it is left.
@@ -218,7 +211,7 @@ class BaseRig(OneMass):
     noise: BaseNoise = setting("section", "measuring noise", section=BaseNoise, default=BaseNoise())
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass", "stiffness", "damping", "acceleration", "sample_rate", "duration")
+        self.require_positive("mass", "stiffness", "damping", "acceleration", "sample_rate", "duration")
         self.check_band()
         if not 0 <= self.pause < self.duration:
             raise SettingError("pause", "pause must lie between 0 and the length of a run")
@@ -246,8 +239,8 @@ class SweepRig(OneMass):
     sample_rate: float = quantity("sampling rate", "Hz", 512.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass", "stiffness", "damping", "force", "duration", "sample_rate")
-        require_not_negative(self, "pause", "noise", "force_noise")
+        self.require_positive("mass", "stiffness", "damping", "force", "duration", "sample_rate")
+        self.require_not_negative("pause", "noise", "force_noise")
         self.check_band()
 
 
@@ -349,8 +342,8 @@ class WhiteNoiseRig(Settings):
 
     def __post_init__(self) -> None:
         check_matrices(self, 2, "stiffness", "damping")
-        require_positive(self, "mass", "force", "bandwidth", "sample_rate", "blocks", "block")
-        require_not_negative(self, "unbalance")
+        self.require_positive("mass", "force", "bandwidth", "sample_rate", "blocks", "block")
+        self.require_not_negative("unbalance")
         if self.n_sample < 2:
             raise SettingError("block", f"a block holds less than a sample at {self.sample_rate:g} Hz")
         system = np.block(
@@ -449,7 +442,7 @@ class VirtualMdofRig(Settings):
         shapes = {np.shape(row) for row in self.mass} if isinstance(self.mass, tuple) else set()
         if shapes not in ({()}, {(n,)}) or len(self.mass) != n:
             raise ConfigError(f"mass does not fit {n} dofs", hint="a list of masses, or a matrix")
-        require_not_negative(self, "noise")
+        self.require_not_negative("noise")
         if self.lines.count < 2 or not 0 <= self.lines.first < self.lines.last:
             raise ConfigError("lines: two or more from `first` up to `last` are needed")
 

@@ -369,7 +369,7 @@ def _choose(settings: MatrixSettings, fits: Sequence[Fit]) -> list[Fit]:
     chosen = [fit for fit in fits if fit.name == settings.fit]
     if not chosen:
         raise FitError(f"no test has a fit '{settings.fit}'")
-    check_single(chosen, "fit one band")
+    check_single(chosen, "fit one band, of one FRF for each test")
     return chosen
 
 

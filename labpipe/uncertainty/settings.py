@@ -13,14 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
-from labpipe.records.settings import (
-    Settings,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-    settings_of,
-)
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
@@ -88,7 +81,7 @@ class EquilibriumSettings(Settings):
     def __post_init__(self) -> None:
         if len(self.centre) != 2:
             raise ConfigError("'centre' has two coordinates", hint="centre: [0 um, 0 um]")
-        require_positive(self, "clearance")
+        self.require_positive("clearance")
 
 
 def _check_shares(settings: Any) -> None:
@@ -188,7 +181,7 @@ class TheorySettings(Settings):
     arm: float | None = quantity("tilts are measured as displacements at this distance", "m", None)
 
     def __post_init__(self) -> None:
-        require_positive(self, "shaft", "arm")
+        self.require_positive("shaft", "arm")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +218,7 @@ class CompareSettings(Settings):
         self._check_keys()
         self._check_over()
         _check_shares(self)
-        require_not_negative(self, "setting_error")
+        self.require_not_negative("setting_error")
         if self.estimate and self.theory is None:
             what = "'estimate' has no loop whose unknowns can be fitted"
             raise ConfigError(what, hint="theory: {bearing: FILE}")

@@ -147,6 +147,15 @@ def test_the_pipeline_says_how_uncertainties_are_propagated(tmp_path: Path) -> N
     assert (first.coverage, first.monte_carlo) == (0.95, 0)
 
 
+def test_what_a_fit_states_stands_also_where_it_is_the_default(tmp_path: Path) -> None:
+    (tmp_path / "h.frf.csv").write_text("frequency_hz,x/f:re,x/f:im\n1,2,3\n2,3,4\n")
+    text = PIPELINE.format(uncertainty="coverage: 99 %, method: monte-carlo")
+    (tmp_path / "p.yaml").write_text(text.replace("300, coverage: 90 %", "0, coverage: 95 %"))
+    a, b = load_pipeline(tmp_path / "p.yaml").fits
+    assert (a.coverage, a.monte_carlo) == (0.99, 2000)
+    assert (b.coverage, b.monte_carlo) == (pytest.approx(0.95, rel=1e-12), 0)
+
+
 def test_an_unknown_method_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigErrors, match="did you mean 'monte-carlo'"):
         pipeline_of(tmp_path, "method: monte-calro")

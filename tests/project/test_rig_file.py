@@ -124,8 +124,10 @@ def test_faults_of_all_channels_are_named_at_once_in_the_order_of_the_file(tmp_p
         ("name: R\n", "channels: is missing"),
         ("channels: []\n", "channels: a mapping of keys to values is needed"),
         ("channels: {f: force}\n", "channels.f: a mapping of keys to values is needed"),
-        ("sample_rate: -1 kHz\nchannels: {f: {quantity: force}}\n", "sample_rate must be positive"),
-        ("mass: -2 kg\nchannels: {f: {quantity: force}}\n", "1:1: mass: mass must not be negative"),
+        ("sample_rate: -1 kHz\nchannels: {f: {quantity: force}}\n", "sample_rate: must be positive"),
+        ("mass: -1 kg\nchannels: {f: {quantity: force}}\n", "mass: must be positive"),
+        ("channels: {f: {quantity: force, range: 9 N .. -9 N}}\n", "channels.f.range: must rise"),
+        ("channels: {f: {quantity: force, range: -9 N}}\n", "channels.f.range: must rise"),
         (
             "sample_rate: 1 kHz\ntime: t\nchannels: {f: {quantity: force}}\n",
             "one of sample_rate and time is needed, not both",

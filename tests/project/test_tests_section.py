@@ -93,6 +93,29 @@ def test_a_recording_may_have_a_rig_of_its_own(folder: Path) -> None:
     assert [source.rig.name for source in test.recordings] == ["R", "Moved"]
 
 
+@pytest.mark.parametrize(
+    ("rig", "said"),
+    [
+        ("name: R\n", "channels.f: the rig has no such channel; known: none"),
+        ("channels: [f]\n", "channels: a mapping of keys to values is needed"),
+        ("channels: {f: }\n", "channels.f: a mapping of keys to values is needed"),
+    ],
+)
+def test_entries_of_a_channel_that_the_rig_does_not_describe(folder: Path, rig: str, said: str) -> None:
+    (folder / "rig.yaml").write_text(rig)
+    text = f"tests: [{{recordings: {{file: runs/a.csv, rig: rig.yaml, channels: {{f: {{dof: y}}}}}}}}]\n{FRF}"
+    assert any(said in fault for fault in faults(folder, text))
+
+
+def test_a_name_with_a_point_is_whole(folder: Path) -> None:
+    """1.5 kN is not 1."""
+    for name in ("load 1.5 kN.csv", "load 2.5 kN.recording.parquet"):
+        (folder / name).write_text("f,x\n1,2\n")
+    tests = load(folder, f"rig: rig.yaml\ntests: [{{each: 'load*', pattern: 'load {{load}}'}}]\n{FRF}").tests
+    found = [(test.name, test.conditions["load"]) for test in tests]
+    assert found == [("load 1.5 kN", "1.5 kN"), ("load 2.5 kN", "2.5 kN")]
+
+
 def test_a_recording_counts_once_with_one_rig(folder: Path) -> None:
     """Twice it would halve the variance of what it says; with other channels it may say something else."""
     twice = f"rig: rig.yaml\nrecordings: [runs/a.csv, 'runs/?.csv']\n{FRF}"
@@ -111,7 +134,7 @@ def test_one_recording_s_channels_leave_the_others_alone(folder: Path) -> None:
 
 
 def test_every_file_a_test_of_its_own(folder: Path) -> None:
-    entry = "{each: 'runs/*N-*.csv', pattern: '{preload}-{way}', conditions: {speed: 0 rpm, way: unknown}}"
+    entry = "{each: 'runs/*N-*.csv', pattern: '{preload}-{way}', conditions: {speed: 0 rpm}}"
     text = f"rig: rig.yaml\ntests:\n  - {entry}\n{FRF}"
     tests = load(folder, text).tests
     assert [test.name for test in tests] == ["427N-up", "701N-down"]
@@ -201,6 +224,18 @@ def test_channels_of_one_run_in_several_files(folder: Path) -> None:
         (
             "tests: [{name: a, recordings: runs/a.csv, conditions: 427 N}]\n",
             "conditions: a mapping of keys to values is needed",
+        ),
+        (
+            "conditions: {load: 1 N}\ntests: [{recordings: runs/a.csv}]\n",
+            "p.yaml:2:1: conditions: has no effect",
+        ),
+        (
+            "recordings: runs/b.csv\ntests: [{recordings: runs/a.csv}]\n",
+            "p.yaml:2:1: recordings: has no effect",
+        ),
+        (
+            "tests: [{each: 'runs/4*.csv', pattern: '{a}-{b}', conditions: {a: 4 N}}]\n",
+            "conditions.a: is in the pattern as well",
         ),
     ],
 )

@@ -217,8 +217,31 @@ def test_faults_of_a_table_are_named(folder: Path) -> None:
     with pytest.raises(DataError, match="has no column of the condition 'pressure'"):
         of_table(folder / "theory.csv", "speed", "pressure")
     (folder / "wrong.csv").write_text("speed [rpm],k_xx [N.s/m]\n1,2\n")
-    with pytest.raises(DataError, match=r"N.s/m is no unit of 'k_xx'"):
+    with pytest.raises(DataError, match=r"'k_xx': 'N.s/m' has the wrong dimension, N/m is needed"):
         of_table(folder / "wrong.csv", "speed")
+    (folder / "twice.csv").write_text("speed [rpm],k_xx [N/m],k_xx [kN/m]\n1,2,3\n")
+    with pytest.raises(DataError, match="has several columns of 'k_xx'"):
+        of_table(folder / "twice.csv", "speed")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("speed [rad/s],k_xx [N/m]\n100,1\n200,3\n", {"k_xx": 2.0}),
+        ("speed [rpm],k_xx [N/m],k_yy [N/m]\n1200,1,7\n1800,,7\n", {"k_yy": 7.0}),
+        ("speed [mm],k_xx [N/m]\n1,1\n2,3\n", "'speed': 'mm' has the wrong dimension, Hz is needed"),
+        ("speed [rpm],load [N],k_xx [N/m]\n60,1,1\n60,2,3\n", "has several rows at speed 1 Hz"),
+    ],
+)
+def test_the_conditions_of_a_table(tmp_path: Path, text: str, found: dict[str, float] | str) -> None:
+    """At 150 rad/s: an angle per time is no number of revolutions, and a gap is no theory."""
+    (tmp_path / "t.csv").write_text(text)
+    theory = of_table(tmp_path / "t.csv", "speed")
+    if isinstance(found, dict):
+        assert theory((150 / (2 * np.pi),), ("Hz",)) == pytest.approx(found)
+    else:
+        with pytest.raises(DataError, match=found):
+            theory((150 / (2 * np.pi),), ("Hz",))
 
 
 @pytest.mark.parametrize(

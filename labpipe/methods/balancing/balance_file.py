@@ -27,14 +27,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import (
-    Settings,
-    parse_phasor,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, parse_phasor, quantity, setting
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -63,8 +56,8 @@ class BalanceSettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass", "speed", "grade")
-        require_not_negative(self, "repeatability")
+        self.require_positive("mass", "speed", "grade")
+        self.require_not_negative("repeatability")
         of_grade = {"mass": self.mass, "speed": self.speed, "grade": self.grade}
         missing = [name for name, value in of_grade.items() if value is None]
         if missing and len(missing) < len(of_grade):
@@ -84,7 +77,7 @@ class PlaneSettings(Settings):
     largest: float | None = quantity("most mass in one place", "kg", None)
 
     def __post_init__(self) -> None:
-        require_positive(self, "radius", "largest")
+        self.require_positive("radius", "largest")
         if self.first and not self.places:
             raise SettingError("first", "'first' is of places", "places: 12")
         if len({round(angle % (2 * np.pi), 9) for angle in self.angles}) < len(self.angles):

@@ -21,7 +21,7 @@ from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 
 CURVATURE_P = 0.01
 
@@ -184,7 +184,7 @@ class CalibrationSettings(Settings):
     path: Path = Path()
 
     def __post_init__(self) -> None:
-        require_positive(self, "tolerance", "x_power")
+        self.require_positive("tolerance", "x_power")
         if len({self.x, self.y, self.group}) < 3:
             name = "y" if self.x == self.y else "group"
             raise SettingError(name, f"'{getattr(self, name)}' is a column of the line already")

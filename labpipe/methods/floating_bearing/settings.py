@@ -27,7 +27,7 @@ from labpipe.methods.floating_bearing.stator import ONE_DIRECTION, Stator
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 from labpipe.registry import nearest
@@ -428,8 +428,8 @@ class DynamicStiffnessSettings(Settings):
         ):
             if getattr(self, name) is not None and getattr(self, other) is None:
                 raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
-        require_positive(self, "band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
-        require_positive(self, "length")
+        self.require_positive("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
+        self.require_positive("length")
         for form in self.forms:
             if form not in FORMS:
                 raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))

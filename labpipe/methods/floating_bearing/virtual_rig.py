@@ -22,14 +22,7 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
 from labpipe.simulate.linear import TACHO, check_matrices, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
@@ -53,7 +46,7 @@ class Relaxation(Settings):
     time: float = quantity("relaxation time tau", "s")
 
     def __post_init__(self) -> None:
-        require_positive(self, "time")
+        self.require_positive("time")
 
 
 @dataclass(frozen=True)
@@ -68,7 +61,7 @@ class Pad(Settings):
     damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
-        require_positive(self, "frequency")
+        self.require_positive("frequency")
 
 
 @dataclass(frozen=True)
@@ -93,7 +86,7 @@ class Condition(Settings):
 
     def __post_init__(self) -> None:
         check_matrices(self, 2, "stiffness", "damping", "mass")
-        require_not_negative(self, "speed")
+        self.require_not_negative("speed")
         if self.film == "journal" and not (self.speed > 0 and self.load > 0):
             raise SettingError("film", "a journal bearing needs a speed and a load")
 
@@ -168,10 +161,9 @@ class FloatingRig(Settings):
 
     def __post_init__(self) -> None:
         check_matrices(self, 2, "baseline_stiffness", "baseline_damping", "shaft_stiffness", "shaft_damping")
-        require_positive(
-            self, "stator_mass", "shaft_mass", "force", "spacing", "periods", "sample_rate", "gain"
-        )
-        require_not_negative(self, "shaft_noise", "unbalance", "runout")
+        self.require_positive("stator_mass", "shaft_mass", "force", "spacing")
+        self.require_positive("periods", "sample_rate", "gain")
+        self.require_not_negative("shaft_noise", "unbalance", "runout")
         if not self.conditions:
             raise SettingError("conditions", "conditions: are missing", "for example conditions: {dry: {}}")
         if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):

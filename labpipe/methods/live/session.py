@@ -20,8 +20,8 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
 from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, lasting
 from labpipe.methods.live.sources import Folder, Frames, Kept, SampleStream, is_old
-from labpipe.project.ingest import Calibration, channel_screen
-from labpipe.project.measured import KINDS
+from labpipe.project.ingest import SAME_RATE, Calibration, channel_screen
+from labpipe.project.measured import measurement
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.records.finding import WARNING, Finding, note, of_level
@@ -121,8 +121,8 @@ class WholeFits(Watch):
     def _fit(self, parts: Sequence[Part]) -> tuple[Any, list[Fit]]:
         """What the recordings give, and the fits of it; what has just begun may not do yet."""
         try:
-            measured = KINDS[self.frf.gives].make(parts, self.frf)
-            return measured, [fit for settings in self.settings for fit in identify(measured, settings)]
+            result = measurement(parts, self.frf)
+            return result, [fit for settings in self.settings for fit in identify(result, settings)]
         except LabpipeError:
             if len(parts) < 2 or sum(part.n_sample for part in parts) < self.n_sample:
                 raise
@@ -135,13 +135,13 @@ class WholeFits(Watch):
         self._looked_at, seconds = self.n_sample, self.n_sample / self.sample_rate
         standings: dict[str, Standing] = {}
         try:
-            measured, fits = self._fit(self._parts())
+            result, fits = self._fit(self._parts())
         except LabpipeError as error:
             findings = [Finding("not-yet", error.what)]
         else:
             check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
-            decays = measured.decays if isinstance(measured, FreeDecays) else ()
-            counted = len(decays) or getattr(measured, "averages", 0)
+            decays = result.decays if isinstance(result, FreeDecays) else ()
+            counted = len(decays) or getattr(result, "averages", 0)
             self.averages = int(counted or round(seconds / (self.frf.period or 1.0)))
             several = Counter(fit.name for fit in fits)
             for fit in fits:
@@ -149,7 +149,7 @@ class WholeFits(Watch):
                 which = " ".join(filter(None, (fit.term, f"{fit.centre_hz:g} Hz")))
                 name = fit.name if several[fit.name] == 1 else f"{fit.name}[{which}]"
                 standings |= {f"{name}.{p.name}": self._standing(fit.name, p) for p in fit.parameters}
-            findings = [*measured.findings, *(finding for fit in fits for finding in fit.findings)]
+            findings = [*result.findings, *(finding for fit in fits for finding in fit.findings)]
             findings += [s.no_help(label) for label, s in standings.items() if s.held_up]
         wanted = [standing for standing in standings.values() if standing.goal is not None]
         warnings = dict.fromkeys(of_level(WARNING, findings))
@@ -238,7 +238,11 @@ class Session:
             rows, self._head = np.concatenate(self._head), []
             if self.findings:
                 yield Update(0, findings=tuple(self.findings))
-        assert self.bench is not None
+        assert self.bench is not None and self._rate is not None
+        stated = self.stream.sample_rate
+        if stated and not self.rig.time and abs(stated / self._rate - 1) > SAME_RATE:
+            what = f"samples come at {stated:g} Hz, {self._rate:g} Hz by the rig file or what came before"
+            raise DataError(what, self.path or "", "leave sample_rate out of the rig file, or correct it")
         if self.stream.restarted:
             self.bench.restart()
         for piece in self._without_gaps(rows):

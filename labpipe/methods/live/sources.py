@@ -92,7 +92,7 @@ class GrowingText(_Growing):
     _place, _rest = 0, b""
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         self.restarted = False
         size = self._size()
         if size < self._place:
@@ -137,7 +137,7 @@ class GrowingTdms(_Growing):
     _begins, _done, _seen = False, 0, 0
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         size = self._size()
         if not size or size == self._seen:
             return self._none
@@ -169,7 +169,7 @@ class GrowingWav(_Growing):
     _place, _kind, _n_track = 0, np.dtype("<i2"), 0
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         if not self._place and not self._open():
             return self._none
         frame = self._kind.itemsize * self._n_track
@@ -212,7 +212,7 @@ class GrowingHdf5(_Growing):
     _done = 0
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         import h5py
 
         if self._file is None:
@@ -243,7 +243,7 @@ class Folder:
         self.files: list[Path] = []
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         self.restarted = False
         if (chunk := next(self._chunks, None)) is not None:
             return chunk
@@ -340,7 +340,7 @@ class Frames:
         return stream
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         stream, self.restarted = self._streams[0], False
         if len(self._streams) > 1:
             text = stream.read(1 << 20)
@@ -396,7 +396,7 @@ class Played:
         self._done, self._began, self.restarted = 0, time.monotonic(), False
 
     def read(self) -> FloatArray | None:
-        """The next samples (n, n_column) [unit of the file], as `SampleStream.read` says."""
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
         if self._done >= self._samples.shape[0]:
             return None
         due = int((time.monotonic() - self._began) * self._speed * self.sample_rate)

@@ -27,14 +27,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import (
-    Settings,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-    settings_of,
-)
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -71,8 +64,8 @@ class Magnet(Settings):
     iron_permeability: float = quantity("relative permeability of the iron", "1", 4000.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
-        require_not_negative(self, "bias_current", "coercivity", "magnet_length", "iron_path")
+        self.require_positive("turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
+        self.require_not_negative("bias_current", "coercivity", "magnet_length", "iron_path")
         if not self.bias_current + self.coercivity * self.magnet_length > 0:
             hint = "give bias_current, or coercivity and length"
             raise ConfigError("magnet: without bias flux there is no force per current", hint=hint)

@@ -15,14 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -48,7 +41,7 @@ class BendingMode(Settings):
     at_unbalance: float = quantity("its shape at the unbalance", "1", 0.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "frequency")
+        self.require_positive("frequency")
         for name in ("at_bearings", "at_sensors"):
             if len(getattr(self, name)) != len(ENDS):
                 raise SettingError(name, f"'{name}' needs a number for each of the two ends")
@@ -65,7 +58,7 @@ class LongRotor(Settings):
     bending: BendingMode | None = setting("section", "a bending mode", section=BendingMode, default=None)
 
     def __post_init__(self) -> None:
-        require_positive(self, "inertia")
+        self.require_positive("inertia")
         for name in ("bearings", "sensors"):
             places = getattr(self, name)
             if len(places) != len(ENDS) or places[0] == places[1]:
@@ -91,7 +84,7 @@ class SampledPid(Settings):
     )
 
     def __post_init__(self) -> None:
-        require_positive(self, "rate", "derivative_time")
+        self.require_positive("rate", "derivative_time")
 
 
 @dataclass(frozen=True)
@@ -109,7 +102,7 @@ class Injection(Settings):
     duration: float = quantity("length of the other runs", "s", 20.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "rms", "per_ampere", "spacing", "periods", "duration")
+        self.require_positive("rms", "per_ampere", "spacing", "periods", "duration")
 
 
 @dataclass(frozen=True)
@@ -163,8 +156,8 @@ class LevitatedRig(Settings):
     noise: LevitatedNoise = setting("section", "noise", section=LevitatedNoise, default=LevitatedNoise())
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
-        require_not_negative(self, "speed", "damping", "unbalance", "runout")
+        self.require_positive("mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
+        self.require_not_negative("speed", "damping", "unbalance", "runout")
         if self.axes == "x" and (
             self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)
         ):

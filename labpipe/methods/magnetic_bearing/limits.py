@@ -22,7 +22,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -65,7 +65,7 @@ class CertificateSettings(Settings):
     def __post_init__(self) -> None:
         if not 0.5 < self.confidence < 1:
             raise SettingError("confidence", "'confidence' must lie between 50 and 100 %")
-        require_positive(self, "log_decrement", "rate")
+        self.require_positive("log_decrement", "rate")
         signals = [name for name in (*self.after, self.output, self.displacement, self.current) if name]
         for name in signals:
             if signals.count(name) > 1:

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 
 # Entries of the PID, which a controller of blocks takes the place of.
 PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
@@ -50,8 +50,8 @@ class ControlLoop(Settings):
     )
 
     def __post_init__(self) -> None:
-        require_not_negative(self, "derivative_time", "lag_time", "delay")
-        require_positive(self, "bandwidth", "sensor_bandwidth")
+        self.require_not_negative("derivative_time", "lag_time", "delay")
+        self.require_positive("bandwidth", "sensor_bandwidth")
         for name in ("sensor", "amplifier", "force_per_current"):
             if not getattr(self, name):
                 raise SettingError(name, f"{name} must not be zero", "nothing closes the loop")

@@ -8,7 +8,7 @@ from labpipe.errors import SettingError
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import SPECTRA
@@ -58,7 +58,7 @@ class MagnetSettings(Settings):
     def __post_init__(self) -> None:
         if not 0 < self.band_confidence < 1:
             raise SettingError("band_confidence", "'band_confidence' must lie between 0 and 100 %")
-        require_positive(self, "hold", "amplifier_bandwidth")
+        self.require_positive("hold", "amplifier_bandwidth")
         if self.amplifier_bandwidth is not None and self.hold is None:
             raise SettingError("amplifier_bandwidth", "'amplifier_bandwidth' goes with hold", "hold: 20 kHz")
         if self.inertia is not None and not self.inertia.value > 0:

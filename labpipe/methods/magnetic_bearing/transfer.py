@@ -14,7 +14,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -298,8 +298,8 @@ class ControllerBlock(Settings):
             if given and name not in (*form.needs, *form.takes, "form"):
                 hint = f"{self.form} takes {', '.join((*form.needs, *form.takes))}"
                 raise SettingError(name, f"{name}: is not for the form {self.form}", hint)
-        require_positive(self, "zero", "pole", "frequency", "rate", "width")
-        require_not_negative(self, "depth", "damping", "derivative_time")
+        self.require_positive("zero", "pole", "frequency", "rate", "width")
+        self.require_not_negative("depth", "damping", "derivative_time")
         if self.order not in (1, 2):
             hint = "two blocks for more"
             raise SettingError("order", f"order: a low-pass has order 1 or 2, not {self.order}", hint)

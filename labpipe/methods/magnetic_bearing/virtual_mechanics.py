@@ -10,14 +10,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -45,7 +38,7 @@ class Levitation(Settings):
     def __post_init__(self) -> None:
         if not self.bearings > 0:
             raise SettingError("bearings", "the rotor hangs in one bearing or more")
-        require_positive(self, "corner")
+        self.require_positive("corner")
 
 
 @dataclass(frozen=True)
@@ -79,9 +72,9 @@ class VirtualMagneticRig(Settings):
     noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())
 
     def __post_init__(self) -> None:
-        require_positive(self, "pedestal_mass", "rotor_mass", "axial_mass", "radial_force", "actuator_gain")
-        require_positive(self, "pedestal_stiffness", "axial_stiffness")
-        require_not_negative(self, "pedestal_damping", "axial_damping", "speed", "unbalance")
+        self.require_positive("pedestal_mass", "rotor_mass", "axial_mass", "radial_force", "actuator_gain")
+        self.require_positive("pedestal_stiffness", "axial_stiffness")
+        self.require_not_negative("pedestal_damping", "axial_damping", "speed", "unbalance")
         if self.rotor_mass <= self.pedestal_mass:
             raise SettingError("rotor_mass", "rotor_mass, with the pedestal, is above pedestal_mass")
 

@@ -10,7 +10,7 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Geometry
-from labpipe.records.settings import Settings, quantity, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 
 # Lowest highest order: below it no mode can be told from noise by its return.
 LEAST_ORDER = 6
@@ -50,7 +50,7 @@ class ModalSettings(Settings):
             raise ConfigError(f"'order' is {self.order}", hint=f"{LEAST_ORDER} or more", field="order")
         if any(pole <= 0 for pole in self.poles):
             raise ConfigError("'poles' must be positive", field="poles")
-        require_positive(self, "moving_mass")
+        self.require_positive("moving_mass")
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

@@ -28,7 +28,7 @@ from labpipe.methods.planning.model import (
     vector_information,
 )
 from labpipe.raw_files.excitation import _signals, one_period, peaks
-from labpipe.records.settings import require_positive
+from labpipe.records.settings import Settings
 
 ONE_BY_ONE, TOGETHER, INTERLEAVED = "one by one", "together", "interleaved"
 # Lines with less than this share of a test's power are left out.
@@ -229,7 +229,7 @@ OBEYED = 1 - 1e-12
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Settings):
     """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a
     force; None: no limit.
 
@@ -241,7 +241,7 @@ class Limits:
     crest_factor: float | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, "force", "displacement", "crest_factor")
+        self.require_positive("force", "displacement", "crest_factor")
         if self.crest_factor is not None and self.crest_factor < np.sqrt(2):
             what = "no periodic signal has a crest factor below that of a sine, 1.41"
             raise SettingError("crest_factor", what)

@@ -41,7 +41,7 @@ from labpipe.methods.run_ups.rotor import (
     largest_displacement,
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -62,8 +62,8 @@ class ReadingSettings(Settings):
     threshold: float = quantity("of the threshold speed itself", "1", 0.002)
 
     def __post_init__(self) -> None:
-        require_positive(self, "amplitude", "phase", "threshold")
-        require_not_negative(self, "displacement")
+        self.require_positive("amplitude", "phase", "threshold")
+        self.require_not_negative("displacement")
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class TrialSettings(Settings):
             raise ConfigError("a trial has an unbalance or a shaker", hint=hint)
         if self.unbalance and not any(size for _, size in self.unbalance):
             raise SettingError("unbalance", "the trial unbalance is zero", "{disc 1: 50 g.mm at 0 deg}")
-        require_positive(self, "force", "ratio")
+        self.require_positive("force", "ratio")
 
 
 @dataclass(frozen=True)
@@ -162,10 +162,10 @@ class RunUpPlanSettings(Settings):
             self._check_rotor(self.rig)
 
     def _check_signs(self) -> None:
-        require_positive(self, "step", "dwell", "duration", "at_load", "at_speed")
-        require_positive(self, "displacement_limit", "journal_limit")
+        self.require_positive("step", "dwell", "duration", "at_load", "at_speed")
+        self.require_positive("displacement_limit", "journal_limit")
         check_distinct(self, "loads")
-        require_not_negative(self, "changeover")
+        self.require_not_negative("changeover")
         if min(self.loads, default=0.0) <= 0:
             raise SettingError("loads", "loads are positive")
         if self.speeds[0] <= 0 or self.stretches < 1:

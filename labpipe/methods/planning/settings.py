@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, quantity, require_positive, setting
+from labpipe.records.settings import Settings, Uncertainties, quantity, setting
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -90,7 +90,7 @@ class TheorySettings(Settings):
             raise ConfigError("a bearing file or a rotor file is needed", hint=hint)
         if self.rotor and self.load is not None:
             raise SettingError("load", "the load follows from the rotor", "leave it out")
-        require_positive(self, "load", "speed")
+        self.require_positive("load", "speed")
         if self.rig is not None:
             self.rig.place(self.name)
 
@@ -172,8 +172,8 @@ class PlanSettings(Settings):
     sensors: Rig | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, "period", "sample_rate", "duration", "force_limit", "displacement_limit")
-        require_positive(self, "mass", "speed", "mains")
+        self.require_positive("period", "sample_rate", "duration", "force_limit", "displacement_limit")
+        self.require_positive("mass", "speed", "mains")
         if (self.noise is None) == (self.noise_density is None):
             hint = "noise: {force: 20 mN, displacement: 0.3 um}"
             raise SettingError("noise", "one of 'noise' and 'noise_density' is needed", hint)

@@ -37,14 +37,7 @@ from labpipe.methods.planning.settings import (
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import (
-    Settings,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-    settings_of,
-)
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
@@ -109,8 +102,8 @@ class StatePlanSettings(Settings):
 
     def __post_init__(self) -> None:
         check_distinct(self, "loads", "speeds", *(["estimate"] if self.estimate else []))
-        require_positive(self, "loads", "speeds", "duration")
-        require_not_negative(self, "changeover")
+        self.require_positive("loads", "speeds", "duration")
+        self.require_not_negative("changeover")
         if self.periods < plan.FEWEST_PERIODS:
             what = f"{self.periods} periods in a run, the noise is known from {plan.FEWEST_PERIODS}"
             raise SettingError("run", what, f"a run of {plan.FEWEST_PERIODS * self.period:g} s or more")

@@ -35,7 +35,7 @@ from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -50,8 +50,8 @@ class WearNoise(Settings):
     force: float = quantity("of the force", "N", 0.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "displacement")
-        require_not_negative(self, "force")
+        self.require_positive("displacement")
+        self.require_not_negative("force")
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class WearGoal(Settings):
     angle: float | None = quantity("of the angle", "rad", None)
 
     def __post_init__(self) -> None:
-        require_positive(self, "depth", "angle")
+        self.require_positive("depth", "angle")
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class WearPlanSettings(Settings):
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, "duration", "sample_rate", "force", "run", "block")
+        self.require_positive("duration", "sample_rate", "force", "run", "block")
         check_distinct(self, "speeds", "bands", *(["loads"] if self.loads else []))
         if min(self.speeds, default=0.0) <= 0:
             raise SettingError("speeds", "speeds are positive")

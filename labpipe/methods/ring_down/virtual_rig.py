@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import SettingError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-decay-rig"
@@ -48,8 +48,8 @@ class DecayRig(Settings):
     def __post_init__(self) -> None:
         if not self.frequencies or len(self.frequencies) != len(self.damping_ratios):
             raise SettingError("damping_ratios", "'damping_ratios' needs one value for every frequency")
-        require_positive(self, "mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
-        require_not_negative(self, "joint", "noise")
+        self.require_positive("mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
+        self.require_not_negative("joint", "noise")
         if self.interval * self.sample_rate < 2:
             raise SettingError("interval", "'interval' is shorter than two samples", "interval: 4 s")
         lowest, highest = 1 / self.interval, self.sample_rate / 2

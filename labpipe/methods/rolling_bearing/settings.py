@@ -17,7 +17,7 @@ from scipy import special
 
 from labpipe.errors import ConfigError
 from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing
-from labpipe.records.settings import Settings, quantity, require_not_negative, setting
+from labpipe.records.settings import Settings, quantity, setting
 
 
 @dataclass(frozen=True)
@@ -287,7 +287,7 @@ class RollingSettings(Settings, ABC):
                     f"displacements.{dof} and loads.{load} are both given",
                     hint="one follows from the other: give one",
                 )
-        require_not_negative(self, "damping_factor")
+        self.require_not_negative("damping_factor")
         self.bearing()
 
     @property

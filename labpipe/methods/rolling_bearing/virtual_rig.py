@@ -21,14 +21,7 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -54,10 +47,10 @@ class TestedBearing(Settings):
     )
 
     def __post_init__(self) -> None:
-        require_not_negative(self, "preloads")
+        self.require_not_negative("preloads")
         if self.bearing.shaft is None:
             raise ConfigError("bearing.shaft: is missing", hint="the rig needs the shaft's mass and inertia")
-        require_positive(self, "bending_stiffness")
+        self.require_positive("bending_stiffness")
         if len({f"{preload:g}" for preload in self.preloads}) < max(len(self.preloads), 1):
             raise SettingError("preloads", "'preloads' names none, or one twice", "[427 N, 701 N]")
 
@@ -73,7 +66,7 @@ class Sampling(Settings):
     force: float = quantity("rms force of a shaker", "N", 10.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "rate", "spacing", "periods", "force")
+        self.require_positive("rate", "spacing", "periods", "force")
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,7 @@ class RigNoise(StandardDeviations):
     strip: float = quantity("force read while the strip is calibrated", "N", 20.0)
 
     def __post_init__(self) -> None:
-        require_not_negative(self, "acceleration", "force", "preload", "string", "strip")
+        self.require_not_negative("acceleration", "force", "preload", "string", "strip")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,11 +108,11 @@ class VirtualBallBearingRig(Settings):
     noise: RigNoise = setting("section", "noise and scatter", section=RigNoise, default=RigNoise())
 
     def __post_init__(self) -> None:
-        require_positive(self, "stiffness_ratio", "arm", "string_factor", "strip_factor")
+        self.require_positive("stiffness_ratio", "arm", "string_factor", "strip_factor")
         if self.angular is not None and self.angular.name == self.deep_groove.name:
             raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
-        require_positive(self, "mountings", "repeats")
-        require_not_negative(self, "damping_factor")
+        self.require_positive("mountings", "repeats")
+        self.require_not_negative("damping_factor")
 
 
 @dataclass(frozen=True)

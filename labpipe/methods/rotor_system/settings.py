@@ -10,7 +10,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import check_unknown
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, require_not_negative, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -104,7 +104,7 @@ class SystemTest(Settings):
         if not needed[self.kind]:
             words = {MODES: "one of fit and frequencies", STATIC: "deflections or mass"}
             raise SettingError(KEYS[self.kind][0], f"{words.get(self.kind, KEYS[self.kind][0])}: is missing")
-        require_not_negative(self, "speed", "gain", "slow_roll")
+        self.require_not_negative("speed", "gain", "slow_roll")
         if len(set(self.numbers)) < len(self.numbers) or any(n < 1 or n % 1 for n in self.numbers):
             raise SettingError("numbers", "'numbers' are whole, from 1 on, and differ", "numbers: [1, 3]")
         if self.mass is not None and not 0 < self.mass.std_error < self.mass.value:

@@ -19,14 +19,7 @@ from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pede
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import (
-    FileKind,
-    Settings,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import FileKind, Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
 
@@ -66,8 +59,8 @@ class PedestalSettings(Settings):
     damping: float = quantity("to ground", "N.s/m", 0.0)
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass", "stiffness")
-        require_not_negative(self, "damping")
+        self.require_positive("mass", "stiffness")
+        self.require_not_negative("damping")
 
 
 @dataclass(frozen=True)
@@ -79,7 +72,7 @@ class InternalSettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        require_not_negative(self, "internal")
+        self.require_not_negative("internal")
 
 
 def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:

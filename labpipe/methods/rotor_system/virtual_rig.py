@@ -16,7 +16,7 @@ from labpipe.errors import SettingError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, require_not_negative, require_positive, setting
+from labpipe.records.settings import Settings, quantity, setting
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-rotor-rig"
@@ -56,8 +56,8 @@ class RotorTestRig(Settings):
     system: RotorSystem | None = None
 
     def __post_init__(self) -> None:
-        require_positive(self, "amplitude", "spacing", "duration", "sample_rate")
-        require_not_negative(self, "acceleration_noise", "force_noise", "probe_noise", "gain")
+        self.require_positive("amplitude", "spacing", "duration", "sample_rate")
+        self.require_not_negative("acceleration_noise", "force_noise", "probe_noise", "gain")
         if self.periods < 2:
             raise SettingError("periods", "at least two periods are needed")
         if any(node % 1 for node in (*self.accelerations, *self.probes)):

@@ -23,7 +23,7 @@ from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, quantity, require_positive, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate import virtual_rigs
 
@@ -49,7 +49,7 @@ class RunUpNoise(Settings):
 
     def __post_init__(self) -> None:
         # Fits weigh by it.
-        require_positive(self, *settings_of(RunUpNoise))
+        self.require_positive(*settings_of(RunUpNoise))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +106,7 @@ class VirtualUnbalanceRig(Settings):
             raise ConfigError(
                 "viscosity_error and clearance_error lie between -50 % and 50 %, heating between 0 and 50 %"
             )
-        require_positive(self, "shaker_force", "shaker_ratio")
+        self.require_positive("shaker_force", "shaker_ratio")
 
     @property
     def omega(self) -> FloatArray:

@@ -19,14 +19,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    quantity,
-    require_not_negative,
-    require_positive,
-    setting,
-)
+from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
@@ -77,8 +70,8 @@ class VirtualJournalRig(Settings):
             worn_place(self.rig, self.bearing)
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
-        require_positive(self, "force", "bandwidth", "sample_rate", "duration")
-        require_not_negative(self, "unbalance")
+        self.require_positive("force", "bandwidth", "sample_rate", "duration")
+        self.require_not_negative("unbalance")
         if not self.bandwidth < self.sample_rate / 2:
             raise ConfigError(f"bandwidth must lie below half the sampling rate, {self.sample_rate / 2:g} Hz")
         if not 0 <= self.lowest < self.bandwidth:

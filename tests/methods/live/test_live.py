@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -740,6 +741,24 @@ def test_a_full_disk_ends_neither_the_test_nor_what_was_kept(bench):
     )
     (course,) = json.loads((bench / "out" / "identification.json").read_text())["courses"]
     assert course["averages"] == kept // N - SKIPPED == 7
+
+
+@pytest.mark.parametrize("rates", [[2 * RATE], [RATE, 2 * RATE]])
+def test_samples_at_another_rate_are_no_part_of_the_test(bench, rates):
+    """Frequencies would be half of what they are: by the rig file, or by the file before in a folder."""
+    pieces = [(rate, samples(6)) for rate in rates]
+
+    class Source:
+        sample_rate, restarted = None, False
+
+        def read(self) -> np.ndarray | None:
+            self.sample_rate, rows = pieces.pop(0)
+            return rows
+
+    pipeline = load_for_stream(bench / "pipeline.yaml", ())
+    rig = replace(pipeline.rig, sample_rate=None) if len(rates) > 1 else pipeline.rig
+    with pytest.raises(DataError, match="samples come at 2000 Hz, 1000 Hz by the rig file or what"):
+        list(Session(pipeline, rig, Source()).updates())
 
 
 def test_samples_that_come_faster_than_they_are_followed(bench, monkeypatch):
