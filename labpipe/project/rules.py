@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches as close_matches
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -330,10 +329,15 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]
             faults.add(entry, key, f"'{what}' is held against a word, not a number", "write the word alone")
         elif what == "significant" and text not in ("true", "false"):
             faults.add(entry, key, f"'{text}' is neither true nor false")
-        elif what == EVERY_WARNING and code not in (known := _warnings()) and close_matches(code, known):
-            # Others may be those of a plug-in.
-            faults.add(entry, key, f"unknown warning '{code}'", nearest(code, known))
+        elif what == EVERY_WARNING and (hint := _spelling(code)):
+            faults.add(entry, key, f"unknown warning '{code}'", hint)
     return texts
+
+
+def _spelling(code: str) -> str:
+    """The hint for a misspelt warning; empty for what is none of labpipe's, which may be a plug-in's."""
+    hint = "" if code in _warnings() else nearest(code, _warnings())
+    return hint if hint.startswith("did you mean") else ""
 
 
 @cache

@@ -309,10 +309,10 @@ def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] |
     element, size, factor = stated[0]
     sizes = _spread(_listing(_only(element, f"{size}{end}", SI)), count)
     factors = _spread(_listing(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
-    return _divided(sizes, factors)
+    return _quotients(sizes, factors)
 
 
-def _divided(sizes: Sequence[float], factors: Sequence[float]) -> tuple[float, ...]:
+def _quotients(sizes: Sequence[float], factors: Sequence[float]) -> tuple[float, ...]:
     if any(not k > 0 for k in factors) or any(u < 0 for u in sizes):
         raise UnitError("an uncertainty is negative, or its coverage factor is not above zero")
     return tuple(u / k for u, k in zip(sizes, factors, strict=True))
@@ -455,10 +455,10 @@ def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator
 
     sizes = [relative(row["uncertainty"], row["value"]) for row in rows]
     factors = column("coverage_factor")
-    yield CertifiedQuantity((named,), column("value"), units.pop(), _divided(sizes, factors), table)
+    yield CertifiedQuantity((named,), column("value"), units.pop(), _quotients(sizes, factors), table)
     if any(row.get(FREQUENCY) for row in rows):
         yield CertifiedQuantity((FREQUENCY,), column(FREQUENCY), "Hz", None, table)
     if any(row.get(PHASE) for row in rows):
         key = "phase_uncertainty_deg"
-        errors = _divided(column(key), factors) if key in rows[0] else None
+        errors = _quotients(column(key), factors) if key in rows[0] else None
         yield CertifiedQuantity((PHASE,), column(PHASE), "deg", errors, table)

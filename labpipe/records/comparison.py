@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from typing import Protocol
 
 from labpipe.quantities import display_unit, readable_unit, to_display
-from labpipe.records.finding import Finding, Parameter, named
+from labpipe.records.finding import Finding, Parameter, parameter_by_name
 from labpipe.records.uncertain import Budget
 
 
@@ -144,7 +144,7 @@ class Comparison:
 
     def amount(self, name: str) -> Parameter:
         """The amount of that name; KeyError with the known names otherwise."""
-        return named(self.amounts, name, "amount")
+        return parameter_by_name(self.amounts, name, "amount")
 
 
 Comparisons = tuple[Comparison, ...]
@@ -316,7 +316,7 @@ class ConditionMatrix:
 
     def amount(self, name: str) -> Parameter:
         """The amount of that name; KeyError with the known names otherwise."""
-        return named(self.amounts, name, "amount")
+        return parameter_by_name(self.amounts, name, "amount")
 
     def unit_of(self, name: str) -> str:
         """The unit in which a coefficient is shown at all points, with a prefix that suits the largest."""

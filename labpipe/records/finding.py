@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 
 NOTE, WARNING = "note", "warning"
@@ -46,12 +46,12 @@ def of_level(level: str, findings: Iterable[Finding]) -> tuple[Finding, ...]:
 # An estimated or derived parameter that travels with its uncertainty.
 
 
-def named(entries: Iterable[Parameter], name: str, word: str) -> Parameter:
+def parameter_by_name(entries: Sequence[Parameter], name: str, word: str) -> Parameter:
     """The parameter of that name; KeyError with the known names, *word* for what they are, otherwise."""
-    by_name = {entry.name: entry for entry in reversed(tuple(entries))}
-    if name in by_name:
-        return by_name[name]
-    raise KeyError(f"no {word} '{name}'; known: {', '.join(reversed(by_name))}")
+    for entry in entries:
+        if entry.name == name:
+            return entry
+    raise KeyError(f"no {word} '{name}'; known: {', '.join(entry.name for entry in entries)}")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
-from labpipe.records.finding import WARNING, Discrepancy, Finding, Parameter, named, of_level
+from labpipe.records.finding import WARNING, Discrepancy, Finding, Parameter, of_level, parameter_by_name
 from labpipe.records.fit_details import FitDetail
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.sections import section
@@ -220,7 +220,7 @@ class Fit:
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError with the known names otherwise."""
-        return named(self.parameters, name, "parameter")
+        return parameter_by_name(self.parameters, name, "parameter")
 
 
 def of_points(model: str) -> bool:

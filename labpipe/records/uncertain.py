@@ -105,7 +105,7 @@ def _qualify(plain: Uncertain, qualities: Iterable[str]) -> Uncertain:
             value = parse_value(text, "1")
             if not value > 0:
                 raise UnitError(f"'{quality}' must be above zero")
-        elif not value or kind not in ("shape", "source"):
+        elif not value or (value not in SHAPES if kind == "shape" else kind != "source"):
             words = (*SHAPES, "k=2", "dof=12", "source=NAME")
             raise UnitError(f"'{quality}' says nothing of an uncertainty", nearest(name, words))
         entries[kind] = value

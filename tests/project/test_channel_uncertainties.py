@@ -98,6 +98,7 @@ def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None
     [
         (f"{PROBE} +- 1 kg", "channels.x.sensitivity"),
         (f"{PROBE} +- 1 % (rectanglar)", "did you mean 'rectangular'?"),
+        (f'{PROBE}, uncertainty: {{gain: "1 % (shape=round)"}}', "'shape=round' says nothing of"),
         (f"{PROBE}, dof: 45 deg +- 1 %", "'1 %' is relative, of zero"),
         (f"{PROBE}, uncertainty: {{phase: 1 %}}", "'1 %' is relative, of zero"),
         (f'{PROBE}, uncertainty: {{gain: "1 % (k=2, k=2)"}}', "'k=2' stands beside another k"),

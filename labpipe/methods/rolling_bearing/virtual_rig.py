@@ -79,9 +79,6 @@ class RigNoise(StandardDeviations):
     string: float = quantity("force read while the string is calibrated", "N", 20.0)
     strip: float = quantity("force read while the strip is calibrated", "N", 20.0)
 
-    def __post_init__(self) -> None:
-        self.require_not_negative("acceleration", "force", "preload", "string", "strip")
-
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualBallBearingRig(Settings):
@@ -109,10 +106,10 @@ class VirtualBallBearingRig(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("stiffness_ratio", "arm", "string_factor", "strip_factor")
-        if self.angular is not None and self.angular.name == self.deep_groove.name:
-            raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
         self.require_positive("mountings", "repeats")
         self.require_not_negative("damping_factor")
+        if self.angular is not None and self.angular.name == self.deep_groove.name:
+            raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
 
 
 @dataclass(frozen=True)

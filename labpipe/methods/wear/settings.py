@@ -186,8 +186,9 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     if len(named) > 1:
         what = f"wear.prior: '{wear.prior}' has {len(named)} results"
         raise ConfigError(what, hint="give that fit one `test` and one `band`")
-    for fit in named:
-        return replace(settings, model_settings=replace(wear, posterior=posterior(fit, wear.same_wear)))
+    if named:
+        whole = posterior(named[0], wear.same_wear)
+        return replace(settings, model_settings=replace(wear, posterior=whole))
     hint = nearest(wear.prior, [fit.name for fit in fits])
     raise ConfigError(
         f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}"
