@@ -46,7 +46,7 @@ def codes(fit: Fit) -> set[str]:
 
 def test_as_it_stands(tmp_path: Path) -> None:
     found = fits(tmp_path)
-    assert codes(found["modal"]) == {"leakage"} and found["modal"].parameter("f_n_1").ci95 is not None
+    assert codes(found["modal"]) == {"leakage", "model-mismatch"}
     mode = found["mode"].parameter("f_n")
     assert (
         codes(found["mode"]) == {"model-mismatch", "no-covariance"}
@@ -54,27 +54,25 @@ def test_as_it_stands(tmp_path: Path) -> None:
     )
 
 
-def test_the_second_mode_that_is_none_comes_with_a_warning(tmp_path: Path) -> None:
-    """The miss that stands in the manual: should it be mended, page and test are to be changed together."""
-    assert codes(fits(tmp_path, band="190-235 Hz")["modal"]) == {"leakage"}
-
-
 @pytest.mark.parametrize(
-    ("band", "number"),
+    ("band", "window"),
     [
-        *(pytest.param(band, 1, marks=pytest.mark.long) for band in ("204-220 Hz", "190-235 Hz")),
-        ("206-218 Hz", 2),
+        ("206-218 Hz", "hann"),
+        ("190-235 Hz", None),
+        *(pytest.param(band, "hann", marks=pytest.mark.long) for band in ("204-220 Hz", "190-235 Hz")),
     ],
 )
-def test_the_window_widens_the_interval_and_leaves_one_mode_but_once(
-    tmp_path: Path, band: str, number: int
+def test_one_mode_in_every_band_and_its_interval_holds_the_printed_one(
+    tmp_path: Path, band: str, window: str | None
 ) -> None:
-    told = fits(tmp_path, band=band, window="hann")["modal"]
-    assert len(frequencies(told)) == number
-    if number == 1:
-        f_n = told.parameter("f_n_1")
-        assert (
-            codes(told) == {"model-mismatch"}
-            and f_n.ci95[0] < 212.0925 < f_n.ci95[1]
-            and f_n.interval.discrepancy > f_n.interval.noise
-        )
+    """The package prints 212.0925 Hz. Over two of the bands a second mode, whose damping was not told from
+    zero, stood beside it, once without any warning.
+    """
+    told = fits(tmp_path, band=band, window=window)["modal"]
+    assert len(frequencies(told)) == 1
+    f_n = told.parameter("f_n_1")
+    assert (
+        codes(told) == {"model-mismatch"} | ({"leakage"} if window is None else set())
+        and f_n.ci95[0] < 212.0925 < f_n.ci95[1]
+        and f_n.interval.discrepancy > f_n.interval.noise
+    )

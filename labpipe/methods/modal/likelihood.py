@@ -61,8 +61,9 @@ class ResidualTerms:
     *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times
     s^power.
 
-    The upper ones are Chebyshev polynomials of omega^2 over the band: the same space, without the powers'
-    likeness. Equation (modal-terms).
+    Orthonormal one after the other, each the one before times omega^2 or omega^-2 (Arnoldi; Brubeck,
+    Nakatsukasa and Trefethen 2021): as powers they are so alike in a narrow band that rounding chooses among
+    them. Equation (modal-terms).
     """
 
     lines: Lines
@@ -76,13 +77,16 @@ class ResidualTerms:
     @cached_property
     def basis(self) -> ComplexArray:
         """Orthonormal columns (n_line, n_term) [1]."""
-        omega, power = self.lines.omega, self.lines.power
-        square = omega**2
+        omega, square = self.lines.omega, self.lines.omega**2
         middle, half = (square[-1] + square[0]) / 2, max((square[-1] - square[0]) / 2, np.finfo(float).tiny)
-        upper = np.polynomial.chebyshev.chebvander((square - middle) / half, max(self.upper - 1, 0))
-        lower = (square[0] / square)[:, None] ** np.arange(1, self.lower + 1)
-        form = (1j * omega / omega[-1]) ** power * self.lines.weight
-        return np.asarray(np.linalg.qr(np.hstack([lower, upper[:, : self.upper]]) * form[:, None])[0])
+        column = (1j * omega / omega[-1]) ** self.lines.power * self.lines.weight
+        basis = column[:, None] / np.linalg.norm(column)
+        for factor in [(square - middle) / half] * (self.upper - 1) + [square[0] / square] * self.lower:
+            column = factor * basis[:, -1]
+            for _ in range(2):
+                column = column - basis @ (basis.conj().T @ column)
+            basis = np.column_stack([basis, column / np.linalg.norm(column)])
+        return np.asarray(basis)
 
     def without(self, values: ComplexArray) -> ComplexArray:
         """*values* (n_line, n) [any unit] less what the terms can make of them with complex factors."""

@@ -18,7 +18,8 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, modal_
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, refine, remaining
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, by_lines, refine, remaining
+from labpipe.records.finding import NORMAL
 
 # Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay
 # apart.
@@ -530,6 +531,10 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = again.converged and _distinct(again) and np.all(_standing(lines, again))
     if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
+        return None
+    # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
+    place, told = 2 * refined.poles.size, by_lines(terms, again)
+    if -again.poles.real[-1] < NORMAL * np.sqrt(told.covariance[place, place]):
         return None
     return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
 

@@ -123,6 +123,20 @@ def test_residual_terms_are_taken_out_of_the_data() -> None:
     assert np.max(np.abs(terms.remainder)) < 1e-12 * np.max(np.abs(smooth))
 
 
+@pytest.mark.parametrize("band", [(204, 220), (1, 1000), (1000, 1010)])
+def test_residual_terms_leave_what_no_polynomial_can_follow(band: tuple[float, float]) -> None:
+    """Twelve lines less eleven terms, omega^-6 times the polynomials of omega^2 up to degree 10: what is left
+    is the part along v_l = omega_l^6 / prod (omega_l^2 - omega_k^2), the divided difference of order 11.
+    """
+    omega = 2 * np.pi * np.linspace(*band, 12)
+    x = omega**2 / np.mean(omega**2)
+    away = x**3 / np.prod(x[:, None] - x + np.eye(12), axis=1)
+    away /= np.linalg.norm(away)
+    data = np.random.default_rng(3).standard_normal(12)
+    terms = ResidualTerms(Lines(omega, data[:, None, None] + 0j, 0, np.ones(12)), 3, 8)
+    assert terms.remainder[:, 0, 0] == pytest.approx(away * (away @ data), abs=1e-10)
+
+
 @pytest.mark.long
 def test_draws_reach_the_bound() -> None:
     """Ten draws of 18 parameters, noise of 1 and 5 % in turn: three deviations of a share of 95 % are 4.9 %,
