@@ -94,6 +94,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, dict[
     return json.loads(ended.stdout)  # type: ignore[no-any-return]
 
 
+@pytest.mark.long
 def test_a_wrapper_of_ml_is_ml(found) -> None:
     codes = {name: {code for code, _ in case["ml"]["findings"]} for name, case in found.items()}
     assert "leakage" not in codes["leakage"] and "leakage" in codes["blocks far too short"]

@@ -69,6 +69,7 @@ def test_the_changing_rig_without_a_change_is_the_exact_one() -> None:
     assert np.sqrt(np.mean(difference**2)) < 1e-3 * np.sqrt(np.mean(motion**2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "looks_like", "runs"),
     [

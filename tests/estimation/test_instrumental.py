@@ -82,6 +82,7 @@ def test_ls_of_the_same_data_is_overconfident(three_dof_response) -> None:
     assert any("bias" in note for note in fit.notes)
 
 
+@pytest.mark.long
 def test_break_downs_are_no_result(three_dof_response) -> None:
     """At 6 % noise iv runs away in more than a third of the runs; ml never does."""
     broken = 0

@@ -90,6 +90,7 @@ def identification(folder: Path) -> dict:
     return json.loads((folder / "identification.json").read_text())
 
 
+@pytest.mark.long
 def test_side_by_side_is_byte_for_byte_what_one_after_the_other_gives(project: Path, labpipe) -> None:
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "one").code == 0
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "two", "-j", 2).code == 0

@@ -76,6 +76,7 @@ def test_a_test_may_pool_them(tmp_path: Path) -> None:
     assert fit.parameter("f_n").repeats is None
 
 
+@pytest.mark.long
 def test_days_are_the_repeats_where_they_are_named(tmp_path: Path) -> None:
     """Three days of three runs: the interval is Student's of three means, 4.30 / sqrt(3) of their standard
     deviation .121 Hz. Nine runs in their order, without the days named, are seen to come in steps, and their

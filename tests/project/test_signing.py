@@ -52,6 +52,7 @@ def listed(path: Path, trust: Trust) -> list[Signature]:
     return [signature for file in signed_files(path) for signature in signatures(file, trust)]
 
 
+@pytest.mark.long
 def test_several_people_sign_an_archive(people: Authority, archive: Path) -> None:
     before = archive.read_bytes()
     sign(archive, key(people, "Ann"), "measured", "all channels seen")

@@ -184,6 +184,7 @@ def test_unreadable_units_are_refused(text: str) -> None:
         parse_unit(text)
 
 
+@pytest.mark.long
 @given(st.text(max_size=12))
 def test_no_text_ends_in_anything_but_a_unit_or_a_refusal(text: str) -> None:
     try:

@@ -174,6 +174,7 @@ def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Char
     assert png_bytes(first).startswith(b"\x89PNG") and "<text" in svg_text(first)
 
 
+@pytest.mark.long
 def test_a_chart_is_drawn_the_same_where_another_was_before(every_kind: Chart) -> None:
     """On its canvas, in its layout: of other curves, title, names and numbers, which fit another layout."""
     above, below = every_kind.panels

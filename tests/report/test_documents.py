@@ -98,6 +98,7 @@ def test_a_page_without_charts_has_no_script(drawings: dict[str, Drawing]) -> No
     assert "<script" not in html and html.count("<img") == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "function", "name", "count"),
     [(html_page, "drawing_source", "html", 1), (pdf, "canvas_of", "pdf", 2)],
@@ -134,6 +135,7 @@ def test_pages_of_a_pdf_are_a_cover_and_what_its_figures_need(
     assert len(PAGE.findall(DOCUMENTS.load("pdf")(alone))) == 1
 
 
+@pytest.mark.long
 def test_processes_that_draw_change_no_byte(
     every_kind: Chart, drawings: dict[str, Drawing], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,6 +151,7 @@ def test_processes_that_draw_change_no_byte(
     assert [name for name in names if "Drawing" in name] == [f"/Drawing{n}" for n in range(3)]
 
 
+@pytest.mark.long
 def test_heat_maps_are_dots_in_a_pdf_and_curves_are_lines(every_kind: Chart, heat_map: Chart) -> None:
     for graphic, dots in ((every_kind, False), (heat_map, True)):
         content = pdf.render_pdf(
@@ -201,6 +204,7 @@ def test_reports_at_the_root_are_those_of_the_table() -> None:
     ) == RENDERERS.load("md")(RESULT)
 
 
+@pytest.mark.long
 def test_many_figures_share_rows_and_no_heading_stands_alone(
     every_kind: Chart, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,7 @@ def every_kind(evidence: Evidence) -> dict[str, Comparison]:
     }
 
 
+@pytest.mark.long
 def test_every_kind_answers_with_a_documented_verdict_and_survives_its_file(every_kind) -> None:
     # Those over frequency are looked at in test_prediction, test_bandwise and test_sensitivity.
     assert set(every_kind) == set(VERDICTS) == {*FIGURES, "reciprocity"}
@@ -133,6 +134,7 @@ def test_the_numbers_are_those_of_the_making(every_kind) -> None:
     ]
 
 
+@pytest.mark.long
 def test_a_theory_is_asked_once_per_condition_and_matched_once_per_term(evidence) -> None:
     calls: list[float] = []
     radial = {**SERIES, "term": "x"}

@@ -158,6 +158,7 @@ def test_a_pipeline_of_comparisons_runs_is_judged_and_read_again(finished, labpi
     assert (project / "out/identification.json").read_bytes() == before
 
 
+@pytest.mark.long
 def test_another_bearing_file_makes_the_result_stale(project, labpipe) -> None:
     own = project / "bearing.yaml"
     own.write_text(BEARING.read_text())

@@ -104,6 +104,7 @@ def test_thresholds_are_ordered_as_the_estimators_are(labpipe, pipeline: Path, t
     assert 0.008 < levels["ls"] < levels["iv"] < levels["ml"] < 0.09
 
 
+@pytest.mark.long
 def test_a_threshold_leaves_a_level_as_soon_as_too_many_are_lost(
     monkeypatch: pytest.MonkeyPatch, pipeline: Path
 ) -> None:

@@ -55,6 +55,7 @@ def fitted(folder: Path, zeta: float, seed: int, estimator: str = "ml") -> Fit:
     return fit
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("zeta", "codes"), [pytest.param(0.08, set(), marks=pytest.mark.long), (0.008, {"leakage"})]
 )

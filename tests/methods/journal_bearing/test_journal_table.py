@@ -54,6 +54,7 @@ def test_between_its_nodes_the_table_is_the_film(wear_table: JournalTable, rng: 
     assert np.sqrt(np.mean(np.square(errors))) < 5e-3
 
 
+@pytest.mark.long
 def test_at_its_nodes_the_table_is_exact(wear_table: JournalTable) -> None:
     bearing = worn(50.0, -20.0)
     film, found = journal_equilibrium(bearing, LOAD, SPEED, MESH), wear_table.coefficients(bearing, SPEED)

@@ -341,6 +341,7 @@ def test_periods_of_recordings_count_as_if_their_phase_were_known(seed):
         assert last[0][name].parameter.std_error == pytest.approx(error, rel=0.02)
 
 
+@pytest.mark.long
 def test_it_stops_by_the_width_and_never_by_the_value(bench, follow, labpipe):
     write_csv(bench / "test.csv", samples(60, noise=2.5))
     lines = follow(bench / "test.csv", "--until", "s.c.expanded<=1.5%")
@@ -804,6 +805,7 @@ def test_the_page_shows_responses_with_their_bands_and_coherences(bench):
     np.testing.assert_allclose(curve.y, 1e6 / np.abs(at), rtol=0.05)
 
 
+@pytest.mark.long
 def test_a_pause_and_a_logger_that_begins_anew(bench):
     """A logger writes eight periods, pauses, begins its file anew, pauses again and goes on: the averages of
     both files count, less one that is skipped of each.

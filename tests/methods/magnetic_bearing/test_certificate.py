@@ -146,6 +146,7 @@ def test_the_verdict_follows_the_probability(limit: float, verdict: str) -> None
     assert found.verdict == verdict
 
 
+@pytest.mark.long
 def test_the_zone_s_probability_is_by_the_logarithm() -> None:
     found = certificate(asked(), response(np.random.default_rng(2), 0.3), FILE)
     peak = found.amount("sensitivity_peak")

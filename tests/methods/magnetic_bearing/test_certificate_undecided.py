@@ -81,6 +81,7 @@ def test_a_wrong_sign_or_unit_is_named_and_nothing_is_accepted(
     assert "model-mismatch" in [finding["code"] for finding in found["findings"]]
 
 
+@pytest.mark.long
 def test_a_loop_of_another_controller_decides_nothing(certified, columns) -> None:
     """The bearing file has 0.6 of the derivative gain: no sign and no unit explains that, and the unknowns
     follow it anywhere.

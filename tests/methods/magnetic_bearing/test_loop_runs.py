@@ -89,6 +89,7 @@ def test_injection_is_the_difference_of_both_sides_of_the_sum() -> None:
     np.testing.assert_allclose(after - before, added, atol=1e-3)
 
 
+@pytest.mark.long
 def test_a_run_up_shows_the_unbalance_of_both_ends() -> None:
     (run,) = simulate(QUIET, 1, ["run-up"])
     names = [channel.name for channel in run.recording.channels]

@@ -266,6 +266,7 @@ def change_by(fit: LoopFit, source: str) -> np.ndarray:
     return np.array([fit.budget.change_by(source, name) for name in NAMES])
 
 
+@pytest.mark.long
 def test_unknowns_of_a_prediction_follow_the_channels() -> None:
     plain = viewed()
     view = replace(plain, response=with_uncertainties(plain.response, *SIZES))
@@ -284,6 +285,7 @@ def test_unknowns_of_a_prediction_follow_the_channels() -> None:
     assert_same(common.parameters, fitted([plain]).parameters)
 
 
+@pytest.mark.long
 def test_unknowns_of_a_prediction_follow_directions_mass_support_and_sums() -> None:
     view = viewed()
     angle, of_mass = 0.01, 0.005

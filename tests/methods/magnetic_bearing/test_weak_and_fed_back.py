@@ -43,6 +43,7 @@ def codes(fit: dict) -> list[str]:
     return [finding["code"] for finding in fit["warnings"]]
 
 
+@pytest.mark.long
 def test_a_command_beside_the_injection_is_no_drive(fitted) -> None:
     """Both have the role reference; which of them comes from outside only the user knows."""
     columns = RANDOM.record(np.random.default_rng(2))

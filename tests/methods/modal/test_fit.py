@@ -120,6 +120,7 @@ def test_coverage_with_known_noise() -> None:
     assert np.mean(inside) > 0.85
 
 
+@pytest.mark.long
 def test_roving_hammer_is_the_same_structure() -> None:
     structure = nine_modes(5, 401)
     response = response_of(structure, structure.noisy(0.01, 5))

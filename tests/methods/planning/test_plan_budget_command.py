@@ -195,6 +195,7 @@ def carry_out(plan: Plan, folder: Path, seed: int) -> None:
         pc.write_csv(pa.table(columns), folder / "recordings" / f"{test.name}.csv")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("entries", "rig"),
     [

@@ -135,6 +135,7 @@ def test_a_test_carried_out_as_planned(
     assert values == pytest.approx({c.name: found[c.name]["value"] for c in plan.coefficients})
 
 
+@pytest.mark.long
 def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     path = _write(tmp_path, {**PEDESTAL, "goal": {"c": "0.01 %"}, "displacement_limit": "20 um"})
     ended = labpipe("plan", path, "-o", tmp_path / "out")

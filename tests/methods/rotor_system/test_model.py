@@ -154,6 +154,7 @@ def test_two_sleeves_on_one_element_and_one_damping_in_both_directions() -> None
     assert stiff[0, 0] == pytest.approx(np.exp(0.5) * plain[0, 0])
 
 
+@pytest.mark.long
 def test_an_oil_film_s_clearance_is_an_unknown(tmp_path: Path) -> None:
     """Its coefficients follow the speed, and at one standard uncertainty above are those of that clearance;
     the derivatives hold by differences.

@@ -85,6 +85,7 @@ def test_two_halves_of_the_tests_are_one_whole(fitted) -> None:
     assert excess < bearable
 
 
+@pytest.mark.long
 def test_a_test_of_another_rotor_is_named(fitted) -> None:
     """The rotor that was weighed has 3 % more mass: fifteen of its standard uncertainties."""
     of, _, found = fitted

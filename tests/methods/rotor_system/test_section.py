@@ -49,6 +49,7 @@ def result(tmp_path_factory: pytest.TempPathFactory):
     return labpipe.run(folder / "pipeline.yaml", folder / "out"), folder
 
 
+@pytest.mark.long
 def test_unknowns_of_the_raw_recordings_hold_the_truth(result) -> None:
     """The recordings were made with values drawn from what the rotor file declares; 13 unknowns of one rotor
     are within 4 of their errors, and all but the free ones told at least ten times better than declared.
@@ -246,6 +247,7 @@ def test_a_fit_of_several_bands_is_no_test_of_modes() -> None:
         _modes(SystemTest(name="hammer", kind="modes", fit="modes"), cast("Work", SimpleNamespace(fits=fits)))
 
 
+@pytest.mark.long
 def test_critical_speeds_without_a_run_up(tmp_path: Path, labpipe_without_report) -> None:
     """No unbalance in the middle, as the file declares it, has no response; that of its uncertainty has."""
     (tmp_path / "p.yaml").write_text(HAMMER.format(root=ROOT, numbers="[1, 2]"))

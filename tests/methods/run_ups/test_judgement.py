@@ -93,6 +93,7 @@ def test_peak_amplification_and_slow_roll_of_one_mode(zeta: float) -> None:
     assert peak.outcome == KEPT and verdict.accepted
 
 
+@pytest.mark.long
 def test_decisions_by_the_interval() -> None:
     assert [decision(p) for p in (1.0, 0.975, 0.5, 0.025, 0.0)] == [KEPT, KEPT, UNDECIDED, BROKEN, BROKEN]
     speed, _, amplification = half_power(0.05)
@@ -149,6 +150,7 @@ channels:
 """
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("undrawn")
 def test_a_recording_is_judged(tmp_path: Path, labpipe) -> None:
     """From samples: 8 to 80 Hz in 40 s, one mode at 45 Hz in both directions, shaft lifted by 30 um."""

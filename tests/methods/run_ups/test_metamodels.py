@@ -181,6 +181,7 @@ def test_a_smooth_field_is_met_between_its_points_within_the_stated_error() -> N
     assert np.all(model.std_error(30.0, speed) > 5 * model.std_error(7.0, speed))
 
 
+@pytest.mark.long
 def test_networks_follow_a_smooth_field_and_their_seed() -> None:
     pytest.importorskip("sklearn")
     grid = grid_of(smooth)

@@ -22,6 +22,7 @@ def chi2_per_datum(fit: PointFit) -> float:
     return fit.chi2 / (fit.n_datum - fit.n_effective)
 
 
+@pytest.mark.long
 def test_every_point_is_the_minimum_that_scipy_finds() -> None:
     """The trust-region reflective method of scipy on the same sum of squares, point by point, with bounds
     that some points meet.

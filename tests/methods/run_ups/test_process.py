@@ -209,6 +209,7 @@ def test_where_the_joint_fit_is_rejected_it_meets_the_data(joint: JointFit, foun
     assert found.loads == joint.loads
 
 
+@pytest.mark.long
 def test_trained_critical_speeds_within_three_in_a_thousand(joint: JointFit, found: ProcessFit) -> None:
     """Where the joint fit is one to two per cent off; its standard errors hold."""
     truth = virtual("factors")

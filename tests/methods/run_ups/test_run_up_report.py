@@ -398,6 +398,7 @@ def test_the_best_method_follows_chi_square() -> None:
     assert best_method(replace(RESULT, methods=(START,))) is None
 
 
+@pytest.mark.long
 def test_the_whole_report_reads_and_warns() -> None:
     settings = {"run_ups": {"rotor": "falah.yaml"}}
     identification = Identification(

@@ -56,6 +56,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> RunUpResult:
     return identified(tmp_path_factory.mktemp("run-ups"), runs, methods, further)
 
 
+@pytest.mark.long
 def test_every_method_speaks_of_every_run(whole: RunUpResult) -> None:
     assert [method.name for method in whole.methods] == ["start", "amplitudes", "points", "joint"]
     for method in whole.methods:
@@ -323,6 +324,7 @@ def recorded(path: Path, unbalance: dict[str, complex]) -> None:
     pd.DataFrame({**columns, "n": np.where(revolutions % 1 < 0.5, 5.0, 0.0)}).to_parquet(path)
 
 
+@pytest.mark.long
 def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: Path) -> None:
     known = RIG.known_unbalance
     left = {"disc 2": 2e-5j}

@@ -42,6 +42,7 @@ def healthy() -> Fit:
     return fitted(fit_settings(**NUISANCES), response)
 
 
+@pytest.mark.long
 def test_joint_fit_holds_the_truth_within_its_intervals(joint: Fit) -> None:
     truth = {"wear_depth": 22.27e-6, "wear_angle": np.deg2rad(11), **TRUE_BEARING}
     for name, value in truth.items():
@@ -135,6 +136,7 @@ def test_residual_gives_the_errors_where_the_noise_is_not_known() -> None:
         assert unknown.parameter(name).std_error == pytest.approx(known.parameter(name).std_error, rel=0.15)
 
 
+@pytest.mark.long
 def test_wear_beyond_the_range_ends_at_the_bound() -> None:
     response = measured(worn_rig(30.0, 18.0), 0.01, np.random.default_rng(8))
     fit = fitted(fit_settings(angle_limit=np.deg2rad(10), start_angles=(0.0,)), response)

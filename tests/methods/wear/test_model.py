@@ -122,6 +122,7 @@ def test_given_parameters_are_taken_as_they_are() -> None:
     }
 
 
+@pytest.mark.long
 def test_the_other_bearing_may_be_the_worn_one() -> None:
     first = worn_model(wear_settings(bearing="bearing 1"), LINES)
     assert [bearing.worn for bearing in first.bearings] == [True, False]

@@ -57,6 +57,7 @@ def rig() -> WornRig:
     return WornRig(standing, worn_bearing, 14, 10)
 
 
+@pytest.mark.long
 def test_real_forces_tie_the_terms_of_the_directional_response(rig: WornRig) -> None:
     """H_bb(w) = conj H_ff(-w): with real coefficients H(-w) = conj H(w), so H_bb is A^-1 conj(H(-w)) A's
     other diagonal.

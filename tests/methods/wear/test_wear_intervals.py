@@ -132,6 +132,7 @@ def errors(state: State, n_draw: int, number: int) -> np.ndarray:
     return np.array(rows, float)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "depth", [40.19e-6, *(pytest.param(depth, marks=pytest.mark.long) for depth in (0.0, 22.27e-6))]
 )
