@@ -426,7 +426,7 @@ def _result_clauses(criteria: Filter, date: str = "r.date") -> tuple[list[str], 
         bound.append(f"%{criteria.rig}%".replace("*", "%"))
     for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
         if day:
-            clauses.append(f"{date} {sign} ?")
+            clauses.append(f"substr({date}, 1, 10) {sign} ?")
             bound.append(checked_day(day))
     return clauses, bound
 

@@ -181,6 +181,13 @@ def test_a_stated_date_goes_before_that_of_the_file(tmp_path: Path) -> None:
     assert stiffnesses(tmp_path, until="2025-12-31") == [2.0]
 
 
+def test_a_day_holds_the_tests_of_its_hours(tmp_path: Path) -> None:
+    """`until` their day left them out, since a text is above what it begins with."""
+    store(tmp_path / "a", 1.0, date="2026-11-03 14:00")
+    store(tmp_path / "b", 2.0, date="2026-11-03T16:30:00")
+    assert sorted(stiffnesses(tmp_path, since="2026-11-03", until="2026-11-03")) == [1.0, 2.0]
+
+
 def test_without_a_stated_date_the_file_s_day_counts(tmp_path: Path) -> None:
     path = store(tmp_path / "a", 1.0, settings={})
     # Noon of 2024-02-29 (UTC): the same day in every zone but the outermost.
