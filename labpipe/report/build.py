@@ -263,7 +263,8 @@ def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...
             differing = {k: v for k, v in entry.items() if k not in shared}
             paths.append((f"{key}.{entry.get('name', number)}", {**differing, "name": None}))
         return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
-    if settings in (None, False, "", []):
+    # A number of zero is a setting; it equals False.
+    if settings is False or settings in (None, "", []):
         return ()
     parts = settings if isinstance(settings, list) else [settings]
     return ((key, ", ".join(part if isinstance(part, str) else json.dumps(part) for part in parts)),)

@@ -86,12 +86,13 @@ def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]
         ("file", file),
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
-        ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
+        ("averages", f"{response.averages:.4g}" if response.averages > 1 else "1, or not stated"),
         ("uncertainty", " and ".join(uncertainties) or neither),
     )
+    drive = "base" if response.form == "transmissibility" else "force"
     ports = tuple(
         (kind, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}")
-        for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs))
+        for kind, ports_of_kind in (("response", response.outputs), (drive, response.inputs))
         for port in ports_of_kind
     )
     return (

@@ -19,6 +19,8 @@ from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.wording import legible, rounded
 
+# A point with its value of a coefficient.
+Valued = tuple[comparison.MatrixPoint, comparison.Repeated]
 # Height of a row of a map, and room for its axes [in].
 MAP_HEIGHT, ROOM = 0.42, 1.1
 # From here on, and below its inverse, numbers are written with an exponent.
@@ -65,32 +67,24 @@ def coefficient_figures(matrix: comparison.ConditionMatrix, name: str) -> list[F
 
     Of two conditions a map as well.
     """
-    groups: dict[tuple[int, ...], list[comparison.MatrixPoint]] = {}
+    groups: dict[tuple[int, ...], list[Valued]] = {}
     for point in matrix.points:
-        groups.setdefault(point.place[2:], []).append(point)
+        if (value := point.value(name)) is not None:
+            groups.setdefault(point.place[2:], []).append((point, value))
     figures = []
-    for further, points in groups.items():
+    for further, having in groups.items():
         at = ", ".join(axis.text(axis.levels[n]) for axis, n in zip(matrix.axes[2:], further, strict=True))
-        figures.append(_lines(matrix, name, points, at))
+        figures.append(_lines(matrix, name, having, at))
         if len(matrix.axes) > 1 and all(len(axis.levels) > 1 for axis in matrix.axes[:2]):
-            figures.append(_value_map(matrix, name, points, at))
+            figures.append(_value_map(matrix, name, having, at))
     return figures
 
 
-def _values(
-    points: Sequence[comparison.MatrixPoint], name: str
-) -> list[tuple[comparison.MatrixPoint, comparison.Repeated]]:
-    return [(point, value) for point in points if (value := point.value(name)) is not None]
-
-
-def _lines(
-    matrix: comparison.ConditionMatrix, name: str, points: Sequence[comparison.MatrixPoint], at: str
-) -> Figure:
+def _lines(matrix: comparison.ConditionMatrix, name: str, having: Sequence[Valued], at: str) -> Figure:
     """The coefficient over the first condition, one line with bars for every level of the second; dashed: the
     theory.
     """
     first, unit = matrix.axes[0], matrix.unit_of(name)
-    having = _values(points, name)
     series: list[chart.Series] = []
     expected: list[chart.Series] = []
     for number, second in enumerate(sorted({point.place[1:2] for point, _ in having})):
@@ -113,12 +107,10 @@ def _lines(
     return Figure(chart.stack([panel], 3.2), caption, f"{name} of {matrix.name} over {first.name}")
 
 
-def _value_map(
-    matrix: comparison.ConditionMatrix, name: str, points: Sequence[comparison.MatrixPoint], at: str
-) -> Figure:
+def _value_map(matrix: comparison.ConditionMatrix, name: str, having: Sequence[Valued], at: str) -> Figure:
     shape = (len(matrix.axes[1].levels), len(matrix.axes[0].levels))
     values, unit = np.full(shape, np.nan), matrix.unit_of(name)
-    for point, value in _values(points, name):
+    for point, value in having:
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
     texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
@@ -256,7 +248,7 @@ def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, 
 
 def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
     """The coefficient at every point with its uncertainty, the scatter of repeats and the theory."""
-    having = _values(matrix.points, name)
+    having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
     unit = matrix.unit_of(name)
     none = "none" if any(value.theory is not None for _, value in having) else ""
     header = (_title(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")

@@ -246,13 +246,14 @@ def _blocks(columns: TestColumns) -> tuple[Block, ...]:
     differs.
     """
     there = np.isfinite(columns.values)
-    if np.sum(there) < FEWEST:
-        return (Paragraph(f"{int(np.sum(there))} value(s); figures need {FEWEST}.", "note"),)
+    n = int(np.sum(there))
+    if n < FEWEST:
+        return (Paragraph(f"{n} value(s); figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
     which = "No value lies outside"
     if outside:
-        which = f"{len(outside)} of {len(columns.tests)} values lie outside: {few(outside, MOST_OUTSIDE)}"
+        which = f"{len(outside)} of {n} values lie outside: {few(outside, MOST_OUTSIDE)}"
     control = f"{CHART}: {which}. The limits suppose that all tests are of one condition."
     differing = (
         name

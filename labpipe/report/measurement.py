@@ -134,11 +134,11 @@ def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Major and signed minor half axis (...) [m] of the ellipse Re(m e^{jwt}), *motion* (..., 2) [m] along x
     and y.
 
-    With forward f = (x - j y) / 2 and backward b = (x + j y) / 2: |f| + |b| and |f| - |b|, which is negative
+    With forward f = (x + j y) / 2 and backward b = (x - j y) / 2: |f| + |b| and |f| - |b|, which is negative
     for backward orbits.
     """
-    plus, minus = (np.abs(motion[..., 0] + sign * motion[..., 1]) / 2 for sign in (1j, -1j))
-    return plus + minus, minus - plus
+    forward, backward = np.moveaxis(np.abs(motion @ np.linalg.inv(FROM_DIRECTIONAL).T), -1, 0)
+    return forward + backward, forward - backward
 
 
 TURNS = {"f": "forward", "b": "backward"}
@@ -339,8 +339,9 @@ def _measurement(identification: Identification) -> tuple[Block, ...]:
     for response in identification.responses:
         sides = "responses x bases" if response.form == "transmissibility" else "responses x forces"
         size = f"{len(response.outputs)} x {len(response.inputs)} ({sides}), {response.n_frequency} lines"
-        averages = f"{response.averages:.4g} effective averages"
-        blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}, {averages}."))
+        # One is also that of a file that states none.
+        averages = f", {response.averages:.4g} effective averages" if response.averages > 1 else ""
+        blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}{averages}."))
         blocks.append(figures.response_figure(response))
         blocks.extend(spectral_blocks(response))
     for spectra in identification.spectra:
