@@ -199,16 +199,16 @@ def bearing(
     name = file.settings().name or bearing_path.stem
     whole = evaluate(file)
     text = bearing_json(bearing_entry(file, name, whole))
-    if str(json_path) == "-":
-        echo(text, nl=False)
-        return
-    if json_path is not None:
+    to_terminal = str(json_path) == "-"
+    if json_path is not None and not to_terminal:
         with output_file(json_path) as target:
             target.write_text(text, encoding="utf-8")
     if output is not None:
         with output_folder(output) as folder:
             names = write_bearing(file, name, whole, folder)
-    if not quiet:
+    if to_terminal:
+        echo(text, nl=False)
+    elif not quiet:
         echo_bearing(name, file.kind_name, whole)
         if output is not None:
             echo(f"written to {output}: {', '.join(names)}")

@@ -200,19 +200,20 @@ def verify(
     labpipe verify evidence.zip --trust laboratory-ca.pem --signed approved
     labpipe verify out/report.signed.pdf --trust laboratory-ca.pem
     """
-    unsigned = 0 if is_remote(folder) else _verify_signatures(folder, Trust(trust, crl), signed, quiet)
-    if folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir():
-        return 1 if unsigned else 0
-    if is_archive(folder) and is_remote(folder):
-        what = "is an archive elsewhere, and is read from this machine only"
+    is_file = folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir()
+    if is_remote(folder) and (is_file or is_archive(folder) or signed):
+        what = "is elsewhere; archives and signatures are verified here only"
         raise DataError(what, show(folder), "copy it here")
+    unsigned = 0 if is_remote(folder) else _verify_signatures(folder, Trust(trust, crl), signed, quiet)
+    if is_file:
+        return 1 if unsigned else 0
+    how = Manners(again, jobs, overrides, quiet, verbose)
     if is_archive(folder):
-        code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        code = _verify_archive(folder, pipeline_path, how)
         return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        how = Manners(again, jobs, overrides, quiet, verbose)
         code = _verify_folder(here, show(folder), pipeline_path, how)
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code

@@ -30,6 +30,9 @@ OPTIONAL = {
     "asammdf": ("asammdf", "recordings in .mf4: pip install 'labpipe[mdf]'"),
     "distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'"),
     "pyHanko": ("pyhanko", "signatures: pip install 'labpipe[sign]'"),
+    "rich": ("rich", "the display of labpipe live: pip install 'labpipe[live]'"),
+    "cryptography": ("cryptography", "signatures: pip install 'labpipe[sign]'"),
+    "python-pkcs11": ("pkcs11", "signatures by tokens and cards: pip install 'labpipe[sign]'"),
     "scikit-learn": ("sklearn", "metamodels of journal coefficients: pip install 'labpipe[metamodels]'"),
 }
 MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}
@@ -91,7 +94,8 @@ def _packages() -> list[Check]:
 def _package(name: str, module: str, hint: str, needed: bool) -> Check:
     try:
         importlib.import_module(module)
-    except ImportError as error:
+    except Exception as error:
+        # A package built for another numpy, say, fails in its own way.
         return Check(name, "not installed", hint or f"pip install {name} ({error})", needed)
     return Check(name, importlib.metadata.version(name))
 

@@ -15,12 +15,13 @@ from labpipe.artefacts.writing import write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
-from labpipe.errors import DataError, cut
+from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project import catalogue_search
 from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, of_fit
+from labpipe.registry import nearest
 
 # labpipe list [FOLDER]
 
@@ -216,6 +217,11 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     errors alone, corrected for the number of parameters (Holm).
     """
     pairs = catalogue_search.differences(_parameters(first), _parameters(second))
+    known = dict.fromkeys(pair.parameter for pair in pairs)
+    if unknown := [name for name in parameter if name not in known]:
+        raise ConfigError(
+            f"--parameter: '{unknown[0]}' is not in both results", hint=nearest(unknown[0], known)
+        )
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:
         write_rows(table, [dataclasses.asdict(pair) for pair in selected])

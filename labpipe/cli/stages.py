@@ -157,7 +157,8 @@ def identify(
     with options.results_folder(output) as folder:
         how = Manner(progress=silent if quiet else Progress(verbose))
         many = None if frfs else identify_many(pipeline, folder, how)
-        identification = many if many is not None else _identify(pipeline, frfs, folder)
+        identification = many or _identify(pipeline, frfs, folder)
+        outdate_reports(folder, ())
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
@@ -167,6 +168,9 @@ def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) 
     """The result of all tests at once."""
     if frfs:
         tests = [load_measured(path) for path in frfs]
+        if len({test.name for test in tests}) < len(tests):
+            hint = "list them as `frfs:` of tests with names in the pipeline"
+            raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
         inputs = [source_ref(path, path.parent) for path in frfs]
     else:
         tests, inputs = _of_pipeline(pipeline, folder)
@@ -222,6 +226,7 @@ def calibrate(
     sources = [source_ref(calibration.path, pipeline.folder) for calibration in calibrations]
     with output_folder(output) as folder:
         identification = identify_stage(lines, (), sources, folder)
+        outdate_reports(folder, ())
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 

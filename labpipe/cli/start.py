@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
+from click.core import ParameterSource
 
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
@@ -254,6 +255,7 @@ def _echo_recording(overview: Overview) -> None:
 # labpipe excite -o FILE ...
 
 Value = TypeVar("Value")
+OF_MULTISINES, OF_SWEEPS = ("spacing", "phases", "odd", "leave_out", "seed"), ("direction", "length", "pause")
 
 
 @click.command()
@@ -330,6 +332,11 @@ def excite(
     # Loads pandas, which no other command here needs.
     from labpipe.project.exports import write_signal
 
+    context, unused = click.get_current_context(), OF_SWEEPS if sweep is None else OF_MULTISINES
+    for name in unused:
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            other = "a swept sine: name its --sweep" if sweep is None else "a multisine: leave out --sweep"
+            raise ConfigError(f"--{name.replace('_', '-')}: is of {other}")
     limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
