@@ -104,7 +104,7 @@ def parquet_digest(path: Path) -> str:
     with path.open("rb") as stream:
         stream.seek(place)
         stated = stream.read(len(BLANK)).decode("latin-1")
-    if _digest_without(path, place) != stated:
+    if _digest_after(path, place, _digest_before(path, place), BLANK) != stated:
         raise mismatch(path)
     return stated
 
@@ -124,11 +124,6 @@ def _digest_place(path: Path) -> int | None:
         foot = stream.read(size - begin)
     matches = list(_DIGEST.finditer(foot))
     return begin + matches[-1].start(1) if matches else None
-
-
-def _digest_without(path: Path, place: int) -> str:
-    """SHA-256 of the file with zeros in the place of its digest."""
-    return _digest_after(path, place, _digest_before(path, place), BLANK)
 
 
 def _digest_before(path: Path, place: int) -> hashlib._Hash:

@@ -260,7 +260,6 @@ _WITHOUT_SECTIONS = {
 
 
 def _records(entries: dict[str, Any]) -> dict[str, Any]:
-    """The records of all sections, by the section's key."""
     if set(entries) <= _WITHOUT_SECTIONS:
         return {}
     there = ((name, part) for name, part in sections() if part.entry in entries)

@@ -1,7 +1,4 @@
-"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole.
-
-Which of them are kept.
-"""
+"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole."""
 
 from __future__ import annotations
 
@@ -58,7 +55,6 @@ _FAULTS = (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError, T
 
 @contextmanager
 def _in_plain_words(path: Path) -> Iterator[None]:
-    """Faults of reading a Parquet file as a DataError with its path."""
     try:
         yield
     except DataError:
@@ -105,12 +101,7 @@ def as_written(path: Path) -> Iterator[None]:
         ) from None
 
 
-def read_table(path: Path) -> pa.Table:
-    """All columns; DataError in plain words for damaged pages."""
-    return read_columns(path, None)
-
-
-def read_columns(path: Path, columns: Sequence[str] | None) -> pa.Table:
+def read_columns(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """The columns of these names, or all; DataError in plain words for damaged pages."""
     with _in_plain_words(path):
         return open_parquet(path).read(columns=None if columns is None else list(columns))

@@ -141,7 +141,7 @@ def _runs(name: str) -> bool:
     except ProcessLookupError:
         return False
     except (ValueError, OverflowError, OSError):
-        return True
+        pass
     return True
 
 
@@ -158,10 +158,7 @@ def only_one(path: Path) -> Iterator[None]:
 
 
 def _take_lock(lock: IO[str]) -> bool:
-    """Take the lock of a staging folder, which goes with the process that holds it.
-
-    False where another one does.
-    """
+    """Take a lock, which goes with the process that holds it; False where another one does."""
     if fcntl is None:
         return False
     try:

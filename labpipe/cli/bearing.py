@@ -93,7 +93,6 @@ def _echo_matrix(
 
 
 def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: BearingUncertainties) -> None:
-    """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
     echo("with standard uncertainties, and the shares of their sources:")
     for kind, symbol in (("stiffness", "k"), ("damping", "c")):
         matrix, changes = getattr(coefficients, kind), getattr(uncertainties, kind)
@@ -125,7 +124,6 @@ def _amount(amount: Amount, least: float) -> str:
 
 
 def _echo_passage(coefficients: BearingCoefficients) -> None:
-    """The variation of the direct coefficients while the cage turns by one element."""
     if coefficients.lowest is None or coefficients.highest is None:
         return
     low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)

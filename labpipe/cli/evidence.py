@@ -220,7 +220,6 @@ def verify(
 
 
 def _verify_record(folder: Path, quiet: bool) -> int:
-    """Say whether the record of runs of a folder holds; how many faults it has."""
     record = record_of_runs(folder)
     if record is None:
         return 0
@@ -329,7 +328,6 @@ def _hindrance(archive: Unpacked) -> str:
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
-    """What differs when the pipeline is run again, aside."""
     with tempfile.TemporaryDirectory() as scratch:
         with output_folder(Path(scratch) / "out") as output:
             run(pipeline, output, manner(True, False, jobs, None))

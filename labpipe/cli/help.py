@@ -80,7 +80,6 @@ def _machine() -> list[Check]:
 
 
 def _packages() -> list[Check]:
-    """Every package in labpipe's metadata, imported, so that a broken installation shows."""
     try:
         requirements = importlib.metadata.requires("labpipe") or []
     except importlib.metadata.PackageNotFoundError:

@@ -104,7 +104,6 @@ def result_files(results: Sequence[Path]) -> list[Path]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """The shortest unique ends of the folders' paths."""
     folders = [
         path.resolve().parent if path.name == NAME else path.resolve().with_suffix("") for path in paths
     ]

@@ -91,7 +91,6 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
 
 
 def _units(rows: Sequence[ValueRow]) -> dict[tuple[str, str], str]:
-    """One unit for all values of a parameter."""
     sizes: dict[tuple[str, str], list[float]] = {}
     for row in rows:
         sizes.setdefault((row.parameter, row.unit), []).append(row.value)
@@ -164,12 +163,10 @@ def _echo_series(series: catalogue_search.Series) -> None:
 
 
 def _unit(series: catalogue_search.Series) -> str:
-    """The unit of all values."""
     return readable_unit(series.unit, (row.value for row in series.rows))
 
 
 def _slope(series: catalogue_search.Series) -> str:
-    """The slope in words, in display units."""
     line = series.line
     if line is None:
         return (
@@ -235,7 +232,6 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
 
 
 def _parameters(path: Path) -> list[ListedParameter]:
-    """The parameters of all fits of a result, or of the dataset that it sums up."""
     with results_read(path) as here:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)

@@ -182,7 +182,6 @@ LOCK = ".labpipe-watch.lock"
 
 
 def _seconds(text: str) -> float:
-    """A time such as 5 s or 10 min, in seconds."""
     try:
         seconds = parse_value(text, "s")
     except UnitError as error:

@@ -165,7 +165,6 @@ def identify(
 
 
 def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
-    """The result of all tests at once."""
     if frfs:
         tests = [load_measured(path) for path in frfs]
         if len({test.name for test in tests}) < len(tests):

@@ -216,7 +216,6 @@ def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
 
 
 def _echo_shapes(shapes: FileShapes, file: str) -> None:
-    """One line for each mode, with the other shape that is most alike."""
     n_mode = shapes.frequency.size
     more = f"; {shapes.others} further record(s) of another kind or other nodes" if shapes.others else ""
     echo(f"{file}: {n_mode} mode shape(s) at {len(shapes.points)} points and directions{more}")

@@ -49,7 +49,6 @@ def echo_identification(identification: Identification, quiet: bool) -> None:
 
 
 def _echo_dataset(index: DatasetIndex, say: Say) -> None:
-    """Tests and fits by their number, each kind of warning once."""
     fits = ", ".join(f"{count} of {name}" for name, count in index.fits.items())
     failed = f", {index.failed} failed" if index.failed else ""
     refused = f", {index.not_accepted} not accepted" if index.not_accepted else ""

@@ -216,7 +216,6 @@ def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> C
 
 
 def _panels(canvas: Canvas, chart: Chart) -> list[Axes]:
-    """Empty axes of all panels of the chart."""
     grid = canvas.add_gridspec(chart.rows, chart.columns, height_ratios=chart.heights)
     drawn: list[Axes] = []
     for number in range(len(chart.panels)):
@@ -226,7 +225,6 @@ def _panels(canvas: Canvas, chart: Chart) -> list[Axes]:
 
 
 def _frame(chart: Chart) -> Frame:
-    """What a chart has of axes: size, heights, scales."""
     panels = ((panel.x.logarithmic, panel.y.logarithmic, panel.equal) for panel in chart.panels)
     return chart.size, tuple(chart.heights), chart.shared, *panels
 
@@ -276,7 +274,6 @@ def _is_lowest(chart: Chart, number: int) -> bool:
 
 
 def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
-    """Titles of panels and axes; one that all panels of a grid have in common is written once."""
     once = {
         "x": chart.columns > 1 and chart.rows > 1 and len({panel.x.label for panel in chart.panels}) == 1,
         "y": chart.columns > 1 and len({panel.y.label for panel in chart.panels}) == 1,
@@ -329,7 +326,6 @@ def _samples(
 
 
 def _columns(entries: dict[tuple[str, int], list[Series]], side_by_side: int) -> int:
-    """Number of names per row of a legend, by the width."""
     longest = max(len(name) for name, _ in entries) + SAMPLE
     return max(1, min(len(entries), MOST_COLUMNS, int(LEGEND_LETTERS / side_by_side / longest)))
 
@@ -339,7 +335,6 @@ NARROW, FEW_TICKS = 4.0, 4
 
 
 def _number(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
-    """Names of places, or round numbers, along an axis."""
     drawn.set_minor_locator(NullLocator())
     if axis.ticks:
         drawn.set_ticks([place for place, _ in axis.ticks], [name for _, name in axis.ticks])
@@ -409,7 +404,6 @@ def tone(colour: int) -> str:
 
 
 def _line(axes: Axes, series: Series) -> Artist:
-    """Points joined or not, with the interval around them."""
     colour = tone(series.colour)
     if series.low is not None and series.high is not None:
         if series.interval == "shaded":
@@ -436,7 +430,6 @@ def _area(axes: Axes, series: Series) -> Artist:
 
 
 def _level(axes: Axes, series: Series) -> None:
-    """A line across with its name at its end."""
     (y,) = series.y
     axes.axhline(y, color=tone(series.colour), linewidth=series.width, linestyle=series.line)
     if series.name:
@@ -450,7 +443,6 @@ def _upright(axes: Axes, series: Series) -> None:
 
 
 def _span(axes: Axes, series: Series) -> None:
-    """A band across, or upright."""
     look: dict[str, Any] = {"color": tone(series.colour), "alpha": series.opacity, "linewidth": 0}
     if series.kind == "hspan":
         axes.axhspan(*series.y, **look)
@@ -459,7 +451,6 @@ def _span(axes: Axes, series: Series) -> None:
 
 
 def _cells(axes: Axes, series: Series) -> None:
-    """A heat map with the text of every cell and the scale beside it."""
     image = axes.imshow(series.y, cmap=HEAT, vmin=-1, vmax=1, aspect="auto")
     scale = axes.figure.colorbar(image, ax=axes, ticks=[-1, -0.5, 0, 0.5, 1], aspect=30, pad=0.03)
     scale.set_label(series.name, fontsize=SMALL + 1)
@@ -565,7 +556,6 @@ def _of_identification(identification: Identification) -> list[Figure]:
 
 
 def _of_fits(fits: Sequence[Fit]) -> list[Figure]:
-    """One fit alone, or the bands of a sliding fit."""
     return sliding_figures(fits) if len(fits) > 1 else [figure for fit in fits for figure in fit_figures(fit)]
 
 

@@ -231,7 +231,6 @@ def figure_table(chart: Chart) -> Table:
 
 
 def _short(text: str) -> str:
-    """A number with the digits that a reader needs."""
     try:
         return f"{float(text):.{READ_DIGITS}g}"
     except ValueError:
@@ -257,7 +256,6 @@ def _rows_of_series(chart: Chart) -> list[_Rows]:
 
 
 def _cell_rows(panel: Panel, name: str, series: Series) -> _Rows:
-    """One row per cell, named by the row and column it stands in."""
     columns, rows = (
         [label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))]
         for axis in (panel.x, panel.y)

@@ -139,7 +139,6 @@ def _block(block: Block, counter: _Figures) -> str:
 
 
 def _table(table: Table) -> str:
-    """A table, a long one behind a summary."""
     whole = _whole(table)
     return whole if len(table.rows) <= LONG_TABLE else _fold(table, escape(_name(table)), whole)
 

@@ -225,7 +225,6 @@ def _is_chart(block: Block | None) -> TypeGuard[Figure]:
 
 
 def _with_drawings(pages: _Pages) -> bytes:
-    """The file with each drawing at its place."""
     if pages.waiting:
         pages.begin_drawing()
     text = bytes(pages.output())
@@ -327,7 +326,6 @@ def _title(pages: _Pages, document: Document) -> None:
 
 
 def _box(pages: _Pages, block: Paragraph) -> None:
-    """A verdict on a tinted ground with a bar of its tone beside it."""
     start, page = pages.get_y(), pages.page
     pages.set_fill_color(*SOFT)
     pages.set_font(FONT, "B" if block.kind in ("passed", "failed") else "", 11)
@@ -367,7 +365,6 @@ def _put(pages: _Pages, block: Block | tuple[Figure, Figure]) -> None:
 
 
 def _figure(pages: _Pages, figure: Figure) -> None:
-    """A drawing in its natural size, at most as wide as the text; caption below it on the same page."""
     height = _size(figure)[1]
     if pages.will_page_break(height + 10):
         pages.add_page()
@@ -378,7 +375,6 @@ def _figure(pages: _Pages, figure: Figure) -> None:
 
 
 def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
-    """Two charts beside each other, drawn anew in half the width, each with its caption below."""
     tall = min(max(figure.graphic.size[1] for figure in pair), HALF_HEIGHT)
     charts = [figure.graphic for figure in pair if isinstance(figure.graphic, Chart)]
     small = [replace(chart, size=(HALF, tall), legend="above") for chart in charts]
@@ -477,7 +473,6 @@ def _column_widths(pages: _Pages, rows: Sequence[Sequence[str]]) -> list[float]:
 
 
 def _height(row: Sequence[Sequence[str]]) -> float:
-    """The height of a row of a table [mm], of which every cell is a list of lines."""
     return ROW * max(map(len, row))
 
 

@@ -109,7 +109,6 @@ def _sources(budget: Budget, names: list[str]) -> list[str]:
 
 
 def _bars(budget: Budget, names: list[str]) -> Figure:
-    """One bar for each parameter, its parts in the colours of the sources."""
     series: list[Series] = []
     for number, source in enumerate(_sources(budget, names)):
         for row, name in enumerate(names):

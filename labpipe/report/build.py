@@ -49,7 +49,6 @@ def verdict_sections(identification: Identification) -> tuple[Section, ...]:
 
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
-    """Missing results with their reasons, before the judgement of the others."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
     if not rows:
         return _judgement(identification)
@@ -96,7 +95,6 @@ def _not_checked(identification: Identification) -> str:
 
 
 def _listing(origins: Iterable[str], mark: str = ", ") -> str:
-    """Each origin once, up to a number."""
     names = list(dict.fromkeys(origins))
     more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []
     return mark.join([*names[:MOST_NOTES], *more])
@@ -126,24 +124,20 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
 
 
 def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
-    """The findings of all fits, each with the fit that it is of."""
     return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
 
 
 def _fits_with(code: str, identification: Identification) -> list[str]:
-    """The fits that have a finding of that code."""
     return [origin for origin, finding in _of_fits(identification) if finding.code == code]
 
 
 def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
-    """The findings of the sections other than fits, with their origin."""
     return [
         pair for name, record in identification.sections.items() for pair in section(name).findings(record)
     ]
 
 
 def _by_code(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
-    """Every finding of a level by its code, with where it comes from: measurements, fits, other sections."""
     measured = [
         (response.name or "measurement", finding)
         for response in identification.responses
@@ -157,7 +151,6 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
 
 
 def _warnings(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of warning once in full, with the number of fits that carry it."""
     blocks: list[Block] = []
     for code, entries in _by_code(identification, WARNING).items():
         origin, finding = entries[0]
@@ -171,9 +164,6 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of note in one box, every note in full where they are few, else the first alone with their
-    number.
-    """
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
@@ -331,7 +321,6 @@ def build(identification: Identification, test: str = "") -> Document:
 
 
 def _fits_outside(identification: Identification) -> tuple[Section, ...]:
-    """The fits of tests that are at no point of a matrix."""
     points = (point for matrix in identification.sections["matrix"] for point in matrix.points)
     inside = {test for point in points for test in point.tests}
     fits = tuple(fit for fit in identification.fits if fit.test not in inside)
@@ -363,7 +352,6 @@ def _each_figure_once(sections: Sequence[Section]) -> tuple[Section, ...]:
 
 
 def _of_test(identification: Identification, test: str) -> Identification:
-    """The part of a result that belongs to one test."""
     names = [*identification.test_conditions, *(fit.test for fit in identification.fits)]
     if test not in names:
         raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))

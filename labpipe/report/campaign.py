@@ -353,7 +353,6 @@ def _correct(differences: Sequence[_Differences]) -> None:
 
 
 def _trends(coefficient: CoefficientSeries) -> list[Trend]:
-    """One straight trend for every condition that differs; none where errors or tests are missing."""
     trends = []
     for name, (_, condition) in coefficient.over().items():
         try:
@@ -372,7 +371,6 @@ def _verdict(
     corrected: FloatArray,
     differences: Sequence[_Differences],
 ) -> tuple[Block, ...]:
-    """What a reader must know first: values out of control, trends, and values that differ."""
     charted = [coefficient for coefficient in series if len(coefficient.values) >= FEWEST]
     labels = [(coefficient.title, _outside(coefficient)) for coefficient in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
@@ -443,9 +441,6 @@ def _slope_unit(trend: Trend) -> str:
 
 
 def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block, ...]:
-    """Figures over the conditions, the control chart in words and as a figure, and every value with its
-    difference.
-    """
     blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
         limits, n = control_limits(coefficient.shown()), len(coefficient.values)

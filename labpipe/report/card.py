@@ -113,7 +113,6 @@ def _content_blocks(findings: Sequence[Finding]) -> tuple[Block, ...]:
 
 
 def _against_the_rig(contradictions: Sequence[str] | None) -> tuple[Section, ...]:
-    """What a rig file says otherwise; nothing without a rig file."""
     if contradictions is None:
         return ()
     agreement = Paragraph("File and rig file agree in columns, units and rate.", "passed")

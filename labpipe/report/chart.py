@@ -316,7 +316,6 @@ Graphic = Chart | Drawing
 
 
 def _extent(series: Series, which: str) -> list[FloatArray]:
-    """All values of a series along an axis."""
     parts = [series.x] if which == "x" else [series.y, series.low, series.high]
     return [part.reshape(-1) for part in parts if part is not None]
 

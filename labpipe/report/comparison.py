@@ -45,7 +45,6 @@ def loop_blocks(comparison: Comparison) -> list[Block]:
 
 
 def _band_table(comparison: Comparison, name: str) -> Table:
-    """A row for every band and test: value, interval, reference value, ratio; * where they differ."""
     bands = [band for band in comparison.bands if band.parameter == name]
     several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None
@@ -103,7 +102,6 @@ def _subject(comparison: Comparison) -> chart.Axis:
 
 
 def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, colour: int) -> chart.Series:
-    """Values with their 95 % intervals."""
     factor = scale_of(comparison.unit)
     values = factor * np.array([point.value for point in points])
     ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points]).T
@@ -125,7 +123,6 @@ def _trend(comparison: Comparison) -> Figure:
 
 
 def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
-    """The points of every group, in the order in which the groups come."""
     groups: dict[str, list[ComparedPoint]] = {}
     for point in comparison.points:
         groups.setdefault(point.group, []).append(point)
@@ -133,7 +130,6 @@ def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
 
 
 def _difference(comparison: Comparison) -> Figure:
-    """Both groups over the condition, and below how far each test is from the mean of its condition."""
     groups = _groups(comparison)
     above, below = [], []
     for order, (group, points) in enumerate(groups.items()):
@@ -157,7 +153,6 @@ def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
 
 
 def _repeatability(comparison: Comparison) -> Figure:
-    """Every test in its setting; shaded: the scatter within a setting about the mean of all."""
     factor, groups = scale_of(comparison.unit), _groups(comparison)
     mean, within = (factor * comparison.amount(name).value for name in ("mean", "within"))
     series: list[chart.Series] = []
@@ -181,7 +176,6 @@ def _repeatability(comparison: Comparison) -> Figure:
 
 
 def _ratio(comparison: Comparison) -> Figure:
-    """Measured and theory over the condition, and their ratio with the common one."""
     graphic = _beside(comparison, "theory", "bearing: measured / theory")
     meaning = (
         "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' "
@@ -191,14 +185,12 @@ def _ratio(comparison: Comparison) -> Figure:
 
 
 def _rayleigh(comparison: Comparison) -> Figure:
-    """Measured damping beside beta times stiffness."""
     graphic = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
     meaning = "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals"
     return _figure(comparison, graphic, meaning)
 
 
 def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
-    """Measured and predicted values over the condition; below, their ratio."""
     points, factor = comparison.points, scale_of(comparison.unit)
     x, condition = _abscissa(comparison, points), _condition(comparison)
     theory = [np.nan if point.theory is None else factor * point.theory for point in points]
@@ -215,16 +207,12 @@ def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
 
 
 def _common(comparison: Comparison, name: str) -> tuple[chart.Series, ...]:
-    """A common value with its 95 % interval across the whole width."""
     amount = comparison.amount(name)
     shade = () if amount.ci95 is None else (chart.span(*amount.ci95, 2, 0.2),)
     return (chart.level(amount.value, 2, width=1.0), *shade)
 
 
 def _overlays(comparison: Comparison) -> Figure:
-    """The measured curve, the theory's, and the theory times the test's own ratio, at the first and the last
-    condition.
-    """
     panels = [_overlay(overlay) for overlay in comparison.overlays]
     caption = (
         f"{comparison.name}: the term's measured curve and the theory's with the measured damping, "

@@ -121,7 +121,6 @@ def _value_map(matrix: comparison.ConditionMatrix, name: str, having: Sequence[V
 
 
 def _title(name: str, unit: str) -> str:
-    """A name with its unit, if any."""
     return f"{name} [{legible(unit)}]" if legible(unit) else name
 
 
@@ -199,7 +198,6 @@ def _matrix_blocks(matrix: comparison.ConditionMatrix) -> tuple[Block, ...]:
 
 
 def _points_table(matrix: comparison.ConditionMatrix) -> Table:
-    """Every point with its tests, what stands beside, and warnings of its tests."""
     beside = [
         _title(entry.name, comparison.condition_unit(entry.name, entry.unit))
         for entry in matrix.points[0].beside
@@ -247,7 +245,6 @@ def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, 
 
 
 def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
-    """The coefficient at every point with its uncertainty, the scatter of repeats and the theory."""
     having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
     unit = matrix.unit_of(name)
     none = "none" if any(value.theory is not None for _, value in having) else ""
@@ -263,7 +260,6 @@ def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
 
 
 def _size(value: float | None, unit: str) -> float | None:
-    """A difference in the display unit."""
     return None if value is None else abs(difference_in(value, unit))
 
 

@@ -264,7 +264,6 @@ def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
 
 
 def _before_and_after(fitted: FittedCurve, o: int, i: int) -> chart.Panel:
-    """One term: dots measured, dashed before, full after."""
     assert fitted.before is not None
     unit, factor = form_unit(fitted.form)
     lines, after = fitted.drawn

@@ -53,7 +53,6 @@ def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
 
 
 def _by_bic(fit: Fit) -> tuple[Block, ...]:
-    """Candidates that are chosen by BIC, with their own chi-square test."""
     best = fit.candidates[0].bic or 0.0
     rows = tuple(
         (
@@ -133,7 +132,6 @@ def fit_figures(fit: Fit) -> list[Figure]:
 
 
 def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
-    """Fits that belong together: the bands of a sliding fit, the lines of one calibration."""
     groups: dict[tuple[str, str, str], list[Fit]] = {}
     for fit in fits:
         groups.setdefault((fit.name, fit.term, "" if of_points(fit.model) else fit.test), []).append(fit)
@@ -141,7 +139,6 @@ def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
 
 
 def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:
-    """Heading and blocks of fits that belong together."""
     if of_points(fits[0].model):
         return fits[0].name, _calibration(fits)
     return wording.fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else _single(fits[0])
@@ -169,7 +166,6 @@ def blocks_of_details(fit: Fit) -> list[Block]:
 
 
 def _is_mapped(fit: Fit) -> bool:
-    """Whether the correlation of the estimates is a figure."""
     n = fit.correlation.shape[0]
     entangled = np.any(np.abs(np.triu(fit.correlation, 1)) > ENTANGLED)
     return n > FEW_ESTIMATES or bool(n * (n - 1) / 2 > MOST_PAIRS and entangled)
@@ -189,7 +185,6 @@ def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
 
 
 def _description(fit: Fit) -> str:
-    """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
     lines = "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines"
     chi2 = ""
     if fit.gof.chi2_reduced is not None:
@@ -210,7 +205,6 @@ def _description(fit: Fit) -> str:
 
 
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
-    """Coefficients over frequency as figures, and as a table."""
     names = figures.sliding_names(fits)
     units = {
         name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits))
@@ -248,7 +242,6 @@ def _with_error(fit: Fit, name: str, unit: str) -> str:
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
-    """Straight lines: slope, intercept and linear range of each; without inflation factors."""
     rows = tuple(
         (fit.test or fit.name, *wording.parameter_row(parameter, fit.dof)[:-1])
         for fit in fits

@@ -82,7 +82,6 @@ def _of(bands: Sequence[ComparedBand], name: str, test: str) -> list[ComparedBan
 def _coefficient(
     comparison: Comparison, bands: Sequence[ComparedBand], label: str, colour: int, aside: float
 ) -> list[Series]:
-    """The bands of one test, their prediction, and the loop's values at each frequency."""
     factor = scale_of(bands[0].unit)
     centres = np.array([band.centre_hz for band in bands])
     ends = factor * np.array([band.ci95 for band in bands]).T
@@ -100,9 +99,6 @@ def _coefficient(
 
 
 def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int) -> list[Series]:
-    """Stiffness or damping of the loop at each frequency, and with the fitted unknowns where there are
-    any.
-    """
     series = [curve(f"{label}loop", part.frequency, factor * np.array(part.theory), colour, ":", width=0.9)]
     if part.matched:
         values = factor * np.array(part.matched)
@@ -122,7 +118,6 @@ def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
 
 
 def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float = 0.0) -> Series:
-    """Measured over predicted of every band with its 95 % interval."""
     values = np.array([band.ratio for band in bands], float)
     ends = np.array([band.ratio_ci95 or (np.nan, np.nan) for band in bands], float).T
     centres = np.array([band.centre_hz for band in bands]) + aside
@@ -157,7 +152,6 @@ def band_figures(comparison: Comparison) -> list[Figure]:
 
 
 def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
-    """The ratios of one coefficient, those that differ in another colour."""
     low, high = _ratio_range(bands)
     alike = [band for band in bands if not _differs(comparison, band)]
     different = [band for band in bands if _differs(comparison, band)]
@@ -205,7 +199,6 @@ def _measured_size(part: Curve, name: str, colour: int = 0) -> Series:
 
 
 def _sizes(comparison: Comparison, series: Sequence[Series], loop: str, *marks: Series) -> Figure:
-    """Curves of |S| over frequency with the limits of the zones; *marks* above these."""
     zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
     x = Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True)
     panel = Panel(x, Axis("|S|", "1", low=0.0), (*series, *zones, *marks))

@@ -162,7 +162,6 @@ def _cover(
 
 
 def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block, ...]:
-    """Whether all tests were evaluated and every rule holds for each of them."""
     blocks: list[Block] = []
     outcomes, n = identification.outcomes, index.tests
     if index.failed:
@@ -185,14 +184,12 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
 
 
 def _findings(index: DatasetIndex) -> tuple[Block, ...]:
-    """Each kind of warning once, with the number of tests that have it; then the kinds of notes."""
     warnings = [Paragraph(counted.message, "warning") for counted in index.of_level()]
     notes = [Paragraph(counted.message, "note") for counted in index.of_level(NOTE)]
     return (*(warnings or [Paragraph("None in any test.", "passed")]), *notes)
 
 
 def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
-    """The tests that failed and those that were not accepted, by name."""
     sections = []
     for heading, named, count, why in (
         ("Tests that could not be evaluated", tests.failed, index.failed, "why"),
@@ -207,7 +204,6 @@ def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
 
 
 def _coefficients(parameters: Sequence[TestColumns]) -> Table:
-    """Centre, scatter and extremes of every coefficient."""
     caption = (
         "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
         "which outliers do not widen"
@@ -242,9 +238,6 @@ def _left_out(parameters: Sequence[TestColumns]) -> tuple[Block, ...]:
 
 
 def _blocks(columns: TestColumns) -> tuple[Block, ...]:
-    """The coefficient over the tests by date with its control limits, and over every condition that
-    differs.
-    """
     there = np.isfinite(columns.values)
     n = int(np.sum(there))
     if n < FEWEST:

@@ -102,7 +102,6 @@ def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int
 
 
 def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
-    """Half axes of the orbits of displacements in two directions of one plane."""
     outputs = spectra.columns("displacement", "output")
     ports = [
         Port(channel.name, channel.name, channel.dof, channel.angle)
@@ -203,7 +202,6 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
 
 
 def _mark(peak: HalfPower, factor: float, sign: int) -> chart.Series:
-    """Rings at the resonance and its half-power points."""
     frequency = sign * np.array([peak.low, peak.frequency, peak.high])
     amplitude = factor * peak.amplitude * np.array([1, np.sqrt(2), 1]) / np.sqrt(2)
     return chart.dots(
@@ -246,7 +244,6 @@ def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Fi
 
 
 def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> chart.Panel:
-    """The orbits under a force that turns one way."""
     unit, factor = form_unit(response.form)
     column, series = FORWARD_BACKWARD.index(label), []
     for number, frequency in enumerate((peak.low, peak.frequency, peak.high)):

@@ -183,8 +183,9 @@ class OneMass(Settings):
         return receptance(self.mass, self.stiffness, self.damping, frequency)
 
     def from_rest(self, n_sample: int) -> tuple[int, FloatArray]:
-        """`lines_of` a run that is followed until only DIED_OUT is left of what was moving, for -2 m / c ln
-        DIED_OUT.
+        """`lines_of` a run, (n_line,) [Hz], that is followed until only DIED_OUT is left of what was moving.
+
+        For -2 m / c ln DIED_OUT.
         """
         return lines_of(n_sample, self.sample_rate, float(-np.log(DIED_OUT) * 2 * self.mass / self.damping))
 
@@ -291,7 +292,6 @@ PRETRIGGER = 0.5
 
 
 def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
-    """Force f [N] and displacement y [m] with noise."""
     law, direction, count = SWEEP_RUNS[name]
     sweep = Sweep(rig.band, rig.duration / (1 if count == 1 else 2), rig.force, law, direction, rig.pause)
     before = np.zeros(round(PRETRIGGER * rig.sample_rate))
@@ -377,7 +377,6 @@ class WhiteNoiseRig(Settings):
 
 
 def _shaken_run(rig: WhiteNoiseRig, name: str, rng: np.random.Generator) -> Recording:
-    """Force f, displacements x and y [SI]."""
     axis = SHAKEN_RUNS[name]
     force = white_noise((0.0, rig.bandwidth), rig.force, rig.n_sample, rig.sample_rate, rng)
     at_lines = rig.receptance(fft.rfftfreq(rig.n_sample, 1 / rig.sample_rate))[:, :, "xy".index(axis)]
