@@ -1,7 +1,5 @@
-"""``dataset/``: the results of many tests as rows of Parquet files, and their columns for reports.
-
-``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and for
-whatever reads Parquet.
+"""``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and
+for whatever reads Parquet, and their columns for reports.
 
 Schema "labpipe/results/1": a row of `DatasetRow` for each test, fit and parameter; rig and date stand in the
 folders' names (Hive's layout), every condition NAME in a column condition.NAME as people wrote it, and in
@@ -178,8 +176,6 @@ def columns_of_conditions(names: Sequence[str]) -> Iterator[str]:
     return (name.removeprefix(CONDITION) for name in names if name.startswith(CONDITION))
 
 
-# A dataset of results read for a report: every parameter of every fit as columns over the tests.
-
 KEYS = ("fit", "term", "parameter", "unit", "low_hz", "high_hz")
 # Tests that a report names one by one.
 MOST = 100
@@ -232,11 +228,8 @@ def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
     for column in table.column_names:
         if column.startswith(AMOUNT):
             name = column.removeprefix(AMOUNT)
-            units = {
-                amount_of(text)[1]
-                for text in pc.unique(table[CONDITION + name]).to_pylist()
-                if text is not None
-            }
+            texts = pc.unique(table[CONDITION + name]).drop_null().to_pylist()
+            units = {amount_of(text)[1] for text in texts}
             if len(units) == 1:
                 yield name, (units.pop(), _numbers(table, column))
 

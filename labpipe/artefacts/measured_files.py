@@ -293,8 +293,6 @@ def _spectra_of(header: Header, columns: Columns) -> ChannelSpectra:
     )
 
 
-# ``*.decay.parquet``: the free decays of one test, one below the other.
-
 DECAY_SUFFIX = ".decay.parquet"
 
 

@@ -145,9 +145,6 @@ def read_header(path: Path, kind: str) -> Header:
     return header_from_json(metadata[HEADER_KEY], path, kind, digest)
 
 
-# Which artefacts of an earlier run are kept: made by the same work, and as labpipe wrote them.
-
-
 def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
     """The path of an artefact that need not be made again.
 
@@ -158,14 +155,13 @@ def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
         return None
     try:
         existing = read_header(path, header.kind)
+        if not existing.same_work(header):
+            return None
+        if not existing.digest:
+            # This code writes a digest: it was lost.
+            raise DamagedError("carries no digest")
     except DamagedError as error:
         output.remarks.append(made_again(error, path))
-        return None
-    if not existing.same_work(header):
-        return None
-    if not existing.digest:
-        # This code writes a digest: it was lost.
-        output.remarks.append(made_again(DamagedError("carries no digest"), path))
         return None
     return path
 

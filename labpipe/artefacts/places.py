@@ -193,8 +193,6 @@ def _with_place(path: Path) -> Iterator[None]:
         raise StorageError(f"cannot be reached ({reason[:200]})", show(path)) from None
 
 
-# Recordings of an object storage on this machine, as long as they are worked on.
-
 SPOOL = "labpipe-fetched-"
 
 

@@ -158,9 +158,6 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
         echo(f"warning {code} (in {len(affected)} of {len(cases)} values; the first:) {message}")
 
 
-# labpipe bearing BEARING [--json FILE] [--sweep KEY=START:STOP:STEP] [-o DIR]
-
-
 @click.command()
 @click.argument("bearing_path", metavar="BEARING", type=options.PATH)
 @options.path("--json", "json_path", help="Write the coefficients as JSON; - for standard output.")

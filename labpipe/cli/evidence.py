@@ -38,8 +38,6 @@ from labpipe.project.signing import DETACHED, ROLES, Key, Trust, drawn_from_anot
 from labpipe.project.signing import sign as signed
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
 
-# labpipe archive RESULTS -o FILE
-
 
 @click.command()
 @click.argument("results", type=options.PATH)
@@ -96,7 +94,6 @@ def archive(
 
 
 def _pipeline_of(folder: Path) -> Path:
-    """The pipeline that made a result, where a file of its name is near; ConfigError elsewhere."""
     name = read_identification(folder / NAME).pipeline
     home = pipeline_folder(folder)
     if home is None:
@@ -113,9 +110,6 @@ def _day(text: str | None) -> str:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
         raise ConfigError(f"--date: '{text}' is no day", hint="write it as 2026-11-03") from None
-
-
-# labpipe runs FOLDER
 
 
 @click.command()
@@ -148,9 +142,6 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
         for reference in line.inputs if inputs else ():
             echo(message_line(f"    {reference['sha256']} {reference['path']}"))
     echo(f"last line: {head(record)}")
-
-
-# labpipe verify FOLDER, or an archive
 
 
 @click.command()
@@ -269,7 +260,6 @@ class Manners:
 
 
 def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
-    """Verify a folder of results, which messages call by its *name*; the exit code."""
     artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
     for artefact in artefacts:
         _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)

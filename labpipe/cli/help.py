@@ -15,14 +15,11 @@ from pathlib import Path
 
 import click
 
-from labpipe import __version__
-from labpipe.artefacts.header import commit
+from labpipe.artefacts.header import version_text
 from labpipe.artefacts.writing import output_file
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.project.schema import SCHEMAS
-
-# labpipe doctor
 
 # Packages of one feature each, by the distribution's name: the module, and the feature with its installation.
 OPTIONAL = {
@@ -71,7 +68,7 @@ def _machine() -> list[Check]:
     encoding = sys.stdout.encoding or "unknown"
     unable = "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm"
     return [
-        Check("labpipe", f"{__version__} (commit {commit()})" if commit() else __version__),
+        Check("labpipe", version_text()),
         Check("Python", f"{platform.python_version()} ({platform.system()} {platform.machine()})"),
         Check("processors", str(os.cpu_count())),
         Check("threads of linear algebra", threads),
@@ -106,9 +103,6 @@ def _temporary_folder() -> Check:
     except OSError as error:
         return Check("temporary folder", tempfile.gettempdir(), os.strerror(error.errno or 0).lower())
     return Check("temporary folder", tempfile.gettempdir())
-
-
-# labpipe schema [pipeline|rig|bearing|plan]
 
 
 @click.command()

@@ -87,10 +87,9 @@ class LazyGroup(click.Group):
 
 def _print_version(context: click.Context, _option: click.Parameter, asked: bool) -> None:
     if asked:
-        from labpipe.artefacts.header import commit
+        from labpipe.artefacts.header import version_text
 
-        commit_hash = commit()
-        echo(f"labpipe, version {__version__}" + (f" (commit {commit_hash})" if commit_hash else ""))
+        echo(f"labpipe, version {version_text()}")
         context.exit()
 
 
@@ -220,7 +219,6 @@ def _fail(*messages: str) -> int:
 if __name__ == "__main__":
     main()
 
-# labpipe completion SHELL
 
 SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/labpipe.fish"}
 

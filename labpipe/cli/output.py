@@ -74,9 +74,6 @@ def echo_findings(findings: Iterable[Finding]) -> None:
         echo(f"  {finding.level} {finding.code}: {finding.message}")
 
 
-# Tables on the terminal: columns of minimum width, empty ones omitted.
-
-
 def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> None:
     """The rows below their header; the columns in *right* are numbers."""
     rows = [[for_terminal(printable(cell)) for cell in row] for row in rows]

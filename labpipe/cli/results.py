@@ -23,8 +23,6 @@ from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, of_fit
 from labpipe.registry import nearest
 
-# labpipe list [FOLDER]
-
 
 @click.command(name="list")
 @click.argument("folder", type=options.PLACE, default=Path("."))
@@ -69,10 +67,10 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
 def echo_results(rows: Sequence[ResultRow]) -> None:
     """One line for each result."""
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
-    lines = []
-    for row in rows:
-        remark = row.fault or row.warnings
-        lines.append((row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, remark))
+    lines = [
+        (row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, row.fault or row.warnings)
+        for row in rows
+    ]
     echo_table(header, lines, right=(3,))
 
 
@@ -96,8 +94,6 @@ def _units(rows: Sequence[ValueRow]) -> dict[tuple[str, str], str]:
         sizes.setdefault((row.parameter, row.unit), []).append(row.value)
     return {key: readable_unit(key[1], values) for key, values in sizes.items()}
 
-
-# labpipe trend [FOLDER] -p PARAMETER --over CONDITION
 
 LEVEL = 0.05
 
@@ -192,9 +188,6 @@ def _control(series: catalogue_search.Series) -> str:
     beyond = ", ".join(row.label for row in series.outside) or "none"
     ends = " ".join(filter(None, (number(low), "to", number(high), unit_label(unit))))
     return f"control limits {ends}: beyond {beyond}"
-
-
-# labpipe compare A B
 
 
 @click.command()

@@ -29,8 +29,6 @@ from labpipe.project.watch import Watch, WatchSettings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.identification import RuleOutcome
 
-# labpipe run PIPELINE -o DIR
-
 
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
@@ -83,9 +81,6 @@ def run(
         echo(f"written: {show(output)}/identification.json{reports}")
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
-
-
-# labpipe check PIPELINE...
 
 
 @click.command()
@@ -162,9 +157,6 @@ def outcomes_of(
     return identification.outcomes
 
 
-# labpipe tests PIPELINE
-
-
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @options.overrides
@@ -175,8 +167,6 @@ def tests(pipeline_path: Path, overrides: tuple[str, ...]) -> None:
     for test in load_pipeline(pipeline_path, overrides).tests:
         echo(test.name)
 
-
-# labpipe watch FOLDER -c PIPELINE -o RESULTS
 
 LOCK = ".labpipe-watch.lock"
 

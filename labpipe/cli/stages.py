@@ -34,8 +34,6 @@ from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
-# labpipe ingest SOURCE... -r RIG -o DIR
-
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=options.PATH)
@@ -60,9 +58,6 @@ def ingest(
             n, rate = recording.n_sample, recording.sample_rate
             echo(f"{recording.name}: {n} samples, {rate:g} Hz, {n / rate:g} s")
         echo_findings(recording.findings)
-
-
-# labpipe frf -c PIPELINE -o DIR [RECORDING...]
 
 
 @click.command()
@@ -131,9 +126,6 @@ def _line(measured: MeasuredTest) -> str:
     return f"{measured.name or 'frf'}: {size}, {lines}"
 
 
-# labpipe identify -c PIPELINE -o DIR [FRF...]
-
-
 @click.command()
 @click.argument("frfs", nargs=-1, metavar="[FRF...]", type=options.PATH)
 @options.pipeline_file
@@ -199,9 +191,6 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
     return tests, references
 
 
-# labpipe calibrate -c FILE [-o DIR]
-
-
 @click.command()
 @options.pipeline_file
 @options.out_folder
@@ -229,8 +218,6 @@ def calibrate(
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 
-
-# labpipe study PIPELINE -o DIR
 
 STUDY = "study"
 

@@ -89,9 +89,6 @@ def _parameter_line(parameter: Parameter) -> str:
 
 
 def _echo_findings(carriers: list[tuple[Finding, ...]], what: str, say: Say) -> None:
-    """Each kind of warning once, with the number of fits or tests it concerns, then the notes up to a maximum
-    number.
-    """
     by_code: dict[str, dict[int, str]] = {}
     for number, findings in enumerate(carriers):
         for finding in of_level(WARNING, findings):

@@ -286,6 +286,5 @@ def _point_rows(panel: Panel, name: str, series: Series) -> _Rows:
 
 
 def _number(values: FloatArray | None, n: int) -> str:
-    """Number *n* of *values* as text; empty where there is none."""
     value = float(values.flat[n]) if values is not None and n < values.size else math.nan
     return f"{value:.12g}" if math.isfinite(value) else ""

@@ -165,7 +165,6 @@ def _whole(table: Table) -> str:
 
 
 def _fold(table: Table, name: str, whole: str) -> str:
-    """A long table behind a summary, with all of it as a CSV file to save."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(map(cell, row) for row in (table.header, *table.rows))
     content = base64.b64encode(stream.getvalue().encode()).decode("ascii")

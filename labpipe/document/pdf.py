@@ -423,7 +423,6 @@ def _as_dots(figure: Figure) -> bool:
 
 
 def _table(pages: _Pages, table: Table) -> None:
-    """A table whose columns share the width by their longest text; its head comes again on each page."""
     if table.caption:
         if pages.will_page_break(TABLE_HEAD):
             pages.add_page()

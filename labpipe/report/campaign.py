@@ -12,12 +12,12 @@ from datetime import date
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.display import written
+from labpipe.display import difference_in, written
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_ticks, stack
+from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
 from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_names
@@ -79,21 +79,18 @@ class CoefficientSeries:
 
     def errors(self) -> FloatArray:
         """Standard errors (n,) [display unit], NaN where a fit has none."""
-        zero = to_display(0.0, self.unit)
-        errors = [value.parameter.full_error for value in self.values]
-        return np.array(
-            [np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors]
-        )
+        return self._in_unit([value.parameter.full_error for value in self.values])
+
+    def _in_unit(self, errors: Sequence[float | None]) -> FloatArray:
+        return np.array([np.nan if error is None else difference_in(error, self.unit) for error in errors])
 
     def joint_errors(self) -> FloatArray:
         """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have
         sources in common.
         """
-        scale = abs(to_display(1.0, self.unit) - to_display(0.0, self.unit))
-        alone = np.array(
-            [np.nan if value.random_error is None else scale * value.random_error for value in self.values]
-        )
-        return joint_errors(alone, scale * matrix_of([value.changes for value in self.values]))
+        alone = self._in_unit([value.random_error for value in self.values])
+        changes = matrix_of([value.changes for value in self.values])
+        return joint_errors(alone, difference_in(1.0, self.unit) * changes)
 
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
@@ -148,15 +145,20 @@ def _order(values: Sequence[Value]) -> tuple[Value, ...]:
     return tuple(sorted(values, key=lambda value: value.day or date.min))
 
 
+def _label(result: str, test: str) -> str:
+    return ", ".join(filter(None, (result, test)))
+
+
 def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
-    label = f"{result}, {listed.test}" if listed.test and result else listed.test or result
     conditions = identification.test_conditions.get(listed.test, {})
     amounts = {
         name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None
     }
     days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
     day = next((day for day in days if day is not None), None)
-    return Value(label, listed.parameter, amounts, day, listed.random_error, listed.changes)
+    return Value(
+        _label(result, listed.test), listed.parameter, amounts, day, listed.random_error, listed.changes
+    )
 
 
 def _amount(text: str) -> tuple[float, str] | None:
@@ -214,15 +216,13 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     values = series.shown()
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
     ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
-    ends = [level(end, 1, "--", width=1.0) for end in (limits.low, limits.high)]
     tests = curve("tests", places, values, marker=".", size=4.0)
     names = [str(value.day) if series.dated else value.label[-LONGEST_NAME:] for value in series.values]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
-    lines = (*([ringed] if outside else []), level(limits.centre, width=0.9), *ends)
-    meaning = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+    lines = (*([ringed] if outside else []), *control_lines(limits.centre, limits.low, limits.high))
     alternative = f"Control chart of {series.title} with {len(outside)} values outside its limits"
     chart = stack([Panel(x, series.axis, (tests, *lines))], 3.0)
-    return Figure(chart, f"{series.title}: individuals chart; {meaning}.", alternative)
+    return Figure(chart, f"{series.title}: individuals chart; {CONTROL}.", alternative)
 
 
 def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
@@ -233,8 +233,8 @@ def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figu
     groups: dict[tuple[str, str], dict[str, list[Fit]]] = {}
     for result, identification in results:
         for fit in identification.fits:
-            label = f"{result}, {fit.test}" if fit.test and result else fit.test or result
-            groups.setdefault((fit.name, fit.term), {}).setdefault(label, []).append(fit)
+            tests = groups.setdefault((fit.name, fit.term), {})
+            tests.setdefault(_label(result, fit.test), []).append(fit)
     figures: list[Figure] = []
     for (name, term), tests in groups.items():
         sliding = {

@@ -87,36 +87,31 @@ def curve(
     colour: int = 0,
     line: str = "-",
     *,
-    width: float = 1.0,
     marker: str = "",
     size: float = 3.0,
     band: Ends | None = None,
     bars: Ends | None = None,
     opacity: float = 0.15,
-    hollow: bool = False,
-    entry: str = "",
+    **look: Any,
 ) -> Series:
     """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with
-    *opacity*) or as bars.
+    *opacity*) or as bars. *look*: width, hollow and entry of a series.
     """
-    ends = band or bars
-    low, high = (None, None) if ends is None else (np.asarray(end, float) for end in ends)
+    low, high = band or bars or (None, None)
     return Series(
         "line",
         name,
         x=np.asarray(x, float),
         y=np.asarray(y, float),
         colour=colour,
-        low=low,
-        high=high,
         interval="shaded" if band else "bar" if bars else "",
         line=line,
         marker=marker,
         size=size if marker else 0.0,
-        width=width,
         opacity=opacity,
-        hollow=hollow,
-        entry=entry,
+        low=None if low is None else np.asarray(low, float),
+        high=None if high is None else np.asarray(high, float),
+        **look,
     )
 
 
@@ -128,6 +123,15 @@ def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str 
 def level(y: float, colour: int = GREY, line: str = "-", *, width: float = 0.8, name: str = "") -> Series:
     """A line across the panel at *y*; its name, if any, is written at its end."""
     return Series("hline", name, x=np.empty(0), y=np.array([y]), colour=colour, line=line, width=width)
+
+
+# The lines of a control chart, in words.
+CONTROL = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+
+
+def control_lines(centre: float, low: float, high: float) -> tuple[Series, ...]:
+    """Centre and limits of a control chart."""
+    return (level(centre, width=0.9), *(level(end, 1, "--", width=1.0) for end in (low, high)))
 
 
 def upright(x: float, colour: int = GREY, line: str = "-", *, width: float = 0.8) -> Series:

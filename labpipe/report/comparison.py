@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,8 +47,8 @@ def loop_blocks(comparison: Comparison) -> list[Block]:
 
 def _band_table(comparison: Comparison, name: str) -> Table:
     bands = [band for band in comparison.bands if band.parameter == name]
-    several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None
+    several = not tested and len({band.test for band in bands}) > 1
     first = ("test", "band [Hz]", f"{name} [{unit_text(bands[0].unit)}]", "95 % interval")
     other = "the other test" if tested else "predicted"
     header = (*first, other, "ratio with 95 % interval", "p-value, corrected")
@@ -165,9 +166,7 @@ def _repeatability(comparison: Comparison) -> Figure:
                 "mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5
             )
         )
-    x = chart.Axis(
-        _condition(comparison).title, _condition(comparison).unit, ticks=chart.named_ticks(list(groups))
-    )
+    x = replace(_condition(comparison), ticks=chart.named_ticks(list(groups)))
     panel = chart.Panel(
         x, _subject(comparison), (*series, chart.level(mean), chart.span(mean - within, mean + within, 0))
     )
@@ -175,22 +174,24 @@ def _repeatability(comparison: Comparison) -> Figure:
     return _figure(comparison, chart.stack([panel], 3.2), meaning)
 
 
-def _ratio(comparison: Comparison) -> Figure:
-    graphic = _beside(comparison, "theory", "bearing: measured / theory")
-    meaning = (
+# What stands beside the measured values, their ratio, and both in words.
+BESIDE_MEASURED = {
+    "ratio": (
+        "theory",
+        "bearing: measured / theory",
         "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' "
-        "stiffness, shaded: the common one"
-    )
-    return _figure(comparison, graphic, meaning)
+        "stiffness, shaded: the common one",
+    ),
+    "rayleigh": (
+        "Rayleigh damping",
+        "measured / Rayleigh",
+        "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals",
+    ),
+}
 
 
-def _rayleigh(comparison: Comparison) -> Figure:
-    graphic = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
-    meaning = "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals"
-    return _figure(comparison, graphic, meaning)
-
-
-def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
+def _beside(comparison: Comparison) -> Figure:
+    what, ratio, meaning = BESIDE_MEASURED[comparison.kind]
     points, factor = comparison.points, scale_of(comparison.unit)
     x, condition = _abscissa(comparison, points), _condition(comparison)
     theory = [np.nan if point.theory is None else factor * point.theory for point in points]
@@ -198,26 +199,24 @@ def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
     ratios = [np.nan if point.ratio is None else point.ratio for point in points]
     ends = np.array([point.ratio_ci95 or (np.nan, np.nan) for point in points], float).T
     measured = chart.dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
-    common = _common(comparison, "ratio") if comparison.kind == "ratio" else ()
+    common = _common(comparison) if comparison.kind == "ratio" else ()
     above = chart.Panel(
         condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0
     )
     below = chart.Panel(condition, chart.Axis(ratio), (measured, *common, chart.level(1.0)), share=2.0)
-    return chart.stack([above, below], 5.0)
+    return _figure(comparison, chart.stack([above, below], 5.0), meaning)
 
 
-def _common(comparison: Comparison, name: str) -> tuple[chart.Series, ...]:
-    amount = comparison.amount(name)
+def _common(comparison: Comparison) -> tuple[chart.Series, ...]:
+    amount = comparison.amount("ratio")
     shade = () if amount.ci95 is None else (chart.span(*amount.ci95, 2, 0.2),)
     return (chart.level(amount.value, 2, width=1.0), *shade)
 
 
 def _overlays(comparison: Comparison) -> Figure:
     panels = [_overlay(overlay) for overlay in comparison.overlays]
-    caption = (
-        f"{comparison.name}: the term's measured curve and the theory's with the measured damping, "
-        "before and after the ratio."
-    )
+    what = "the term's measured curve and the theory's with the measured damping, before and after the ratio"
+    caption = f"{comparison.name}: {what}."
     alternative = f"Measured and theoretical response of {comparison.subject}"
     return Figure(chart.stack(panels, 0.6 + 2.5 * len(panels)), caption, alternative)
 
@@ -268,8 +267,8 @@ FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "difference": _difference,
     "quotient": _difference,
     "repeatability": _repeatability,
-    "ratio": _ratio,
-    "rayleigh": _rayleigh,
+    "ratio": _beside,
+    "rayleigh": _beside,
 }
 OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
     "prediction": prediction_figures,
@@ -281,10 +280,10 @@ OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
 EXPLAINED = {
     "trend": "Weights: the fits' standard errors and the error of setting the condition.",
-    "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with "
-    "weights.",
-    "quotient": "Tests at the same condition are paired; the logarithm of their ratio is averaged with "
-    "weights.",
+    **dict.fromkeys(
+        ("difference", "quotient"),
+        "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
+    ),
     "repeatability": "One-way random effects: the scatter of repeats without a new setting, and that of the "
     "settings beyond it.",
     "ratio": (
@@ -402,7 +401,6 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
 
 
 def _ratio_words(point: ComparedPoint) -> tuple[str, str]:
-    """The ratio and its interval, to the second digit of the interval's half width."""
     if point.ratio is None or point.ratio_ci95 is None:
         return "" if point.ratio is None else number(point.ratio), ""
     low, high = point.ratio_ci95

@@ -17,7 +17,7 @@ from labpipe.records.identification import Identification
 from labpipe.records.text import parameter_cells
 from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.wording import legible, rounded
+from labpipe.report.wording import legible, rounded, titled
 
 # A point with its value of a coefficient.
 Valued = tuple[comparison.MatrixPoint, comparison.Repeated]
@@ -81,9 +81,6 @@ def coefficient_figures(matrix: comparison.ConditionMatrix, name: str) -> list[F
 
 
 def _lines(matrix: comparison.ConditionMatrix, name: str, having: Sequence[Valued], at: str) -> Figure:
-    """The coefficient over the first condition, one line with bars for every level of the second; dashed: the
-    theory.
-    """
     first, unit = matrix.axes[0], matrix.unit_of(name)
     series: list[chart.Series] = []
     expected: list[chart.Series] = []
@@ -116,12 +113,8 @@ def _value_map(matrix: comparison.ConditionMatrix, name: str, having: Sequence[V
     texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
     graphic = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
-    caption = f"{_title(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
+    caption = f"{titled(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
     return Figure(graphic, caption, f"Map of {name} of {matrix.name}")
-
-
-def _title(name: str, unit: str) -> str:
-    return f"{name} [{legible(unit)}]" if legible(unit) else name
 
 
 def _number_text(value: float) -> str:
@@ -199,7 +192,7 @@ def _matrix_blocks(matrix: comparison.ConditionMatrix) -> tuple[Block, ...]:
 
 def _points_table(matrix: comparison.ConditionMatrix) -> Table:
     beside = [
-        _title(entry.name, comparison.condition_unit(entry.name, entry.unit))
+        titled(entry.name, comparison.condition_unit(entry.name, entry.unit))
         for entry in matrix.points[0].beside
     ]
     header = (*_axis_titles(matrix), "tests", *beside, "warnings")
@@ -212,7 +205,7 @@ def _points_table(matrix: comparison.ConditionMatrix) -> Table:
 
 
 def _axis_titles(matrix: comparison.ConditionMatrix) -> tuple[str, ...]:
-    return tuple(_title(axis.name, axis.shown_unit) for axis in matrix.axes)
+    return tuple(titled(axis.name, axis.shown_unit) for axis in matrix.axes)
 
 
 def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -> tuple[str, ...]:
@@ -248,7 +241,7 @@ def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
     having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
     unit = matrix.unit_of(name)
     none = "none" if any(value.theory is not None for _, value in having) else ""
-    header = (_title(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
+    header = (titled(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
     rows = tuple(
         (*_levels(matrix, point), *_value_cells(value, unit), _theory(value, unit) or none)
         for point, value in having

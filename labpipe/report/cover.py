@@ -181,7 +181,6 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
 
 
 def _response(fit: Fit, fitted: FittedCurve, is_alone: bool) -> Figure:
-    """The measured and the fitted response as with the fit, but lower; of several the amplitude alone."""
     whole = fitted_curve_figure(fit, fitted)
     assert isinstance(whole.graphic, Chart)
     panels = whole.graphic.panels

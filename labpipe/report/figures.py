@@ -63,7 +63,7 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
 
     The residual with its 95 % band where the covariance is known.
     """
-    pairs = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
+    pairs = list(np.ndindex(fitted.measured.shape[1:]))
     amplitude: list[chart.Series] = []
     phase: list[chart.Series] = []
     residual: list[chart.Series] = []
@@ -253,14 +253,13 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
 
 def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Measured amplitude of every term with the model before and after its tuning."""
-    terms = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
-    panels = [_before_and_after(fitted, o, i) for o, i in terms]
+    panels = [_before_and_after(fitted, o, i) for o, i in np.ndindex(fitted.measured.shape[1:])]
     caption = (
         f"{fit_title(fit)}: measured {fitted.form}, and the model before and after its tuning, one "
         "panel per term."
     )
     alternative = f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
-    return Figure(chart.stack(panels, 0.8 + 1.6 * len(terms)), caption, alternative)
+    return Figure(chart.stack(panels, 0.8 + 1.6 * len(panels)), caption, alternative)
 
 
 def _before_and_after(fitted: FittedCurve, o: int, i: int) -> chart.Panel:
@@ -310,10 +309,8 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
             chart.curve("noise", lines, factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2))), 3, "--")
         )
     number = len(fitted.outputs) * len(fitted.inputs)
-    caption = (
-        f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, "
-        "and what is left between them."
-    )
+    what = f"{fitted.form}, root mean square over all {number} elements"
+    caption = f"{fit_title(fit)}: {what}: measured, fitted, and what is left between them."
     graphic = chart.stack([over_frequency(form_axis(fitted.form), series)], 3.6)
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
     return Figure(graphic, caption, f"Root mean square of {matrix} over frequency, with the residual")
@@ -329,7 +326,7 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     residual = np.sum(np.abs(fitted.measured - fitted.fitted) ** 2, axis=0)
     left = residual / np.sum(np.abs(fitted.measured) ** 2, axis=0)
     worst = np.argsort(-left, axis=None)[:WORST]
-    panels = tuple(_element(fitted, *map(int, np.unravel_index(place, left.shape))) for place in worst)
+    panels = tuple(_element(fitted, *divmod(int(place), left.shape[1])) for place in worst)
     graphic = chart.Chart(
         panels, WORST // COLUMNS, COLUMNS, (chart.WIDTH, 0.6 + 1.7 * (WORST // COLUMNS)), "x", "above"
     )
@@ -345,7 +342,7 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
 def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Amplitude of every element, measured with two standard deviations (dots, shaded) and fitted (line)."""
     rows, columns = len(fitted.outputs), len(fitted.inputs)
-    panels = tuple(_element(fitted, o, i) for o in range(rows) for i in range(columns))
+    panels = tuple(_element(fitted, o, i) for o, i in np.ndindex(rows, columns))
     if columns == 1:
         # One row or column of a matrix, as of a roving test.
         columns = min(COLUMNS, rows)
@@ -404,8 +401,6 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
     graphic = chart.Chart(tuple(panels), rows, columns, (chart.WIDTH, 2.2 * rows), "x", "none")
     return Figure(graphic, caption, f"Repeats of {fit_title(fit)}")
 
-
-# Mode shapes on the structure: its points and lines, and how each mode moves them.
 
 KIND = "mode-shapes"
 # Modes of one drawing, one row each.

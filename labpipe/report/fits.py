@@ -35,7 +35,7 @@ def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
     if not fit.candidates:
         return ()
     if fit.candidates[0].bic is not None:
-        return _by_bic(fit)
+        return _by_bic(fit, fit.candidates[0].bic)
     best = fit.candidates[0].aic
     rows = tuple(
         (
@@ -52,8 +52,7 @@ def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
     return (Table(header, rows, "Which structure the data ask for", (1, 2, 3, 4, 5)), Paragraph(EXPLAINED))
 
 
-def _by_bic(fit: Fit) -> tuple[Block, ...]:
-    best = fit.candidates[0].bic or 0.0
+def _by_bic(fit: Fit, best: float) -> tuple[Block, ...]:
     rows = tuple(
         (
             candidate.name,
@@ -210,9 +209,7 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
         name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits))
         for name in names
     }
-    titles = (
-        f"{name} [{wording.legible(unit)}]" if wording.legible(unit) else name for name, unit in units.items()
-    )
+    titles = (wording.titled(name, unit) for name, unit in units.items())
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
     rows = tuple(_band_row(fit, units) for fit in fits)
     meaning = (

@@ -161,7 +161,6 @@ def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
 
 
 def _differs(comparison: Comparison, band: ComparedBand) -> bool:
-    """Whether the band is among those that are counted as different."""
     count = round(comparison.amount("different").value)
     ordered = sorted(other.p_value for other in comparison.bands if other.p_value is not None)
     return count > 0 and band.p_value is not None and band.p_value <= ordered[count - 1]
@@ -208,7 +207,6 @@ def _sizes(comparison: Comparison, series: Sequence[Series], loop: str, *marks: 
 
 
 def _nyquist(comparison: Comparison) -> Figure:
-    """L of every loop in the complex plane, and the circle |1 + L| = 1/3 that zone A stays out of."""
     real = [part for part in comparison.curves if part.quantity.endswith(" real")]
     imaginary = [part for part in comparison.curves if part.quantity.endswith(" imaginary")]
     series: list[Series] = [

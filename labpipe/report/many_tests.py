@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from labpipe.display import number, unit_label, written
+from labpipe.display import difference_in, number, unit_label, written
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack
+from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, stack
 from labpipe.report.cover import rule_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.wording import few, legible, unit_text
+from labpipe.report.wording import few, legible
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
 
 Points = tuple[FloatArray, FloatArray]
@@ -38,13 +38,15 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     """The values in the order of dates and names, with centre and control limits."""
     there = np.isfinite(columns.values)
     values, unit = _in_unit(columns, columns.values[there])
-    centre, low, high = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
+    ends = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
     x = np.arange(1.0, values.size + 1)
-    lines = (level(float(centre), width=0.9), *(level(float(end), 1, "--", width=1.0) for end in (low, high)))
     drawn, how = _draw(x, values, columns, there)
-    panel = Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))
-    meaning = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
-    caption = f"{columns.title} by date and name{how}; {meaning}."
+    panel = Panel(
+        Axis("tests by date and name"),
+        Axis(columns.parameter, legible(unit)),
+        (*drawn, *control_lines(*ends.tolist())),
+    )
+    caption = f"{columns.title} by date and name{how}; {CONTROL}."
     alternative = f"{columns.title} in {values.size} tests, {len(limits.outside)} outside the control limits"
     return Figure(stack([panel], HEIGHT), caption, alternative)
 
@@ -64,8 +66,8 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
 
 def _in_unit(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
     """Values (n,) [SI] in the unit that suits them all."""
-    unit = readable_unit(columns.unit, columns.values) if columns.unit != "1" else unit_text("1")
-    return (np.array([to_display(value, unit) for value in values]) if unit else values), unit
+    unit = readable_unit(columns.unit, columns.values)
+    return np.array([to_display(value, unit) for value in values]), unit
 
 
 def _draw(
@@ -212,9 +214,7 @@ def _coefficients(parameters: Sequence[TestColumns]) -> Table:
 
 
 def _row(columns: TestColumns) -> tuple[str, ...]:
-    unit = readable_unit(columns.unit, columns.values)
-    values = np.array([to_display(value, unit) for value in columns.values])
-    scale = to_display(1.0, unit) - to_display(0.0, unit)
+    values, unit = _in_unit(columns, columns.values)
     there = np.flatnonzero(np.isfinite(values))
     if not there.size:
         return (columns.title, unit_label(unit), "0", *("" for _ in range(7)))
@@ -225,7 +225,7 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
         middle, scatter or None, float(values[least]), float(values[largest])
     )
     errors = columns.errors[np.isfinite(columns.errors)]
-    error = number(float(np.median(errors)) * scale, 2) if errors.size else ""
+    error = number(difference_in(float(np.median(errors)), unit), 2) if errors.size else ""
     ends = (low, columns.tests[least], high, columns.tests[largest])
     return (columns.title, unit_label(unit), str(there.size), middle_text, scatter_text, error, *ends)
 

@@ -36,6 +36,11 @@ def legible(unit: str) -> str:
     return unit_label(unit).replace("N.s/m", "N s/m")
 
 
+def titled(name: str, unit: str) -> str:
+    """A name with its unit, if any, as the head of a column."""
+    return f"{name} [{legible(unit)}]" if legible(unit) else name
+
+
 def rounded(value: float, std_error: float | None) -> str:
     """A value to the place that its standard error supports."""
     return written(value, std_error)[0]

@@ -150,9 +150,6 @@ def pulses(angle: FloatArray) -> FloatArray:
     return np.where(angle / (2 * np.pi) % 1.0 < PULSE_SHARE, PULSE, 0.0)
 
 
-# One mass on a table that shakes, or under swept sines.
-
-
 class OneMass(Settings):
     """A mass on a spring and a damper, excited in a band."""
 
@@ -309,8 +306,6 @@ def check_matrices(rig: Any, n: int, *names: str) -> None:
             raise SettingError(name, f"{name} is not a {n} x {n} matrix")
 
 
-# A rotor in an anisotropic support under a white-noise force, along x in one run and along y in the other.
-
 SHAKEN_RUNS = {"along-x": "x", "along-y": "y"}
 
 
@@ -409,9 +404,6 @@ def shaken_rotor(
     motion = fft.irfft(spectrum[:, None] * at_lines, rig.n_sample, axis=0) + synchronous
     noise = [rig.noise.force, *[rig.noise.displacement] * 2]
     return sense(name, channels, [fft.irfft(spectrum, rig.n_sample), *motion.T], noise, rig.sample_rate, rng)
-
-
-# Masses, springs and dampers whose FRF is given directly, with noise of known size on it.
 
 
 @dataclass(frozen=True)
