@@ -68,10 +68,7 @@ class Part:
 
 
 def write_parts(results: Sequence[dataset.TestResult], output: OutputFolder) -> list[str]:
-    """Write the rows of tests, one part for each rig and date, in their order.
-
-    The names of the parts below the output folder.
-    """
+    """Write the rows of tests, one part for each rig and date; the names of the parts."""
     groups: dict[tuple[str, str], list[dataset.TestResult]] = {}
     for result in results:
         if result.rows:
@@ -161,10 +158,7 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
 
 
 def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
-    """The rows of all parts in a folder of results, conditions that a part lacks as nulls.
-
-    DataError where there is no part.
-    """
+    """The rows of all parts in a folder, conditions that a part lacks as nulls; DataError without a part."""
     tables = [read_part(part, columns) for part in parts(folder)]
     if not tables:
         raise DataError("holds no dataset of results", folder)
@@ -182,10 +176,7 @@ MOST = 100
 
 
 def read_many_tests(folder: Path) -> dataset.ManyTests:
-    """The dataset of a folder of results.
-
-    DataError where there is none, DamagedError for a part that labpipe did not write.
-    """
+    """The dataset of a folder; DataError without one, DamagedError for a part not by labpipe."""
     table = read_rows(folder)
     table = table.sort_by([("date", "ascending"), ("test", "ascending")])
     valid = table.filter(pc.is_valid(table["parameter"]))

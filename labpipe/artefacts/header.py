@@ -29,9 +29,7 @@ PLUG_IN_GROUPS = "labpipe."
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 over the source of labpipe, and name and version of every other package that adds to its
-    tables.
-    """
+    """SHA-256 over labpipe's source, and name and version of every package that adds to its tables."""
     digest = hashlib.sha256()
     root = Path(labpipe.__file__).parent
     for path in sorted((*root.rglob("*.py"), *root.rglob("entry_points.txt"))):
@@ -65,9 +63,7 @@ SHORT = 10
 
 
 def commit(package: Path = Path(__file__).parent) -> str:
-    """The first SHORT letters of the commit, empty where nothing names it; *package*: the folder of the
-    code.
-    """
+    """The first SHORT letters of the commit of the code in *package*, empty where nothing names it."""
     return (of_checkout(package.parent / ".git") or _of_installation())[:SHORT]
 
 

@@ -102,10 +102,7 @@ def write_fits(
 
 
 def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[SourceRef]) -> bool:
-    """True if the file contains the fits of these settings and responses by this version.
-
-    DamagedError for a file that it did not write.
-    """
+    """True if the file holds the fits of these settings and responses; DamagedError for another file."""
     if not path.exists():
         return False
     entries = json_file.read_digested(path, "file of fits")
@@ -171,10 +168,7 @@ def write_identification(path: Path, identification: Identification) -> None:
 
 
 def read_identification(path: Path) -> Identification:
-    """The result of an identification.json.
-
-    DataError when the file is none, or was changed after labpipe wrote it.
-    """
+    """The result of an identification.json; DataError for another file, or one changed since."""
     try:
         entries = json_file.read_digested(path, NAME)
     except FileNotFoundError:

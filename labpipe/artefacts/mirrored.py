@@ -142,7 +142,6 @@ class Mirror:
                 del self._same[name]
 
     def _files(self) -> Iterator[tuple[str, tuple[int, int]]]:
-        """The finished files, with what tells whether one is another."""
         for path in sorted(self.folder.rglob("*")):
             name = path.relative_to(self.folder)
             if path.is_file() and not any(part.startswith(STAGING) for part in name.parts):
@@ -195,7 +194,6 @@ class _Itself(Mirror):
 
 
 def _at_once(work: Callable[[str], None], names: Iterable[str]) -> None:
-    """Do the work for each name, several at a time; the first error."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         waiting = [pool.submit(work, name) for name in names]
         try:

@@ -132,10 +132,7 @@ def header_of(path: Path) -> Header:
 
 
 def read_header(path: Path, kind: str) -> Header:
-    """The header of a Parquet file whose content matches its digest, of any kind for "".
-
-    DataError without one, DamagedError where not.
-    """
+    """The header, of any kind for ""; DataError without one, DamagedError for content of another digest."""
     with _in_plain_words(path):
         digest = parquet_digest(path)
     metadata = open_parquet(path).metadata.metadata or {}
@@ -146,10 +143,7 @@ def read_header(path: Path, kind: str) -> Header:
 
 
 def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
-    """The path of an artefact that need not be made again.
-
-    A damaged one is named in the remarks and made again.
-    """
+    """The path of an artefact that need not be made again; a damaged one is named in the remarks."""
     path = output.read_path(name)
     if not path.exists():
         return None

@@ -178,7 +178,6 @@ def _open(scheme: str, bucket: str, s3_endpoint: str) -> Any:
 
 @contextmanager
 def _with_place(path: Path) -> Iterator[None]:
-    """Faults of a storage as one message that names the place."""
     try:
         yield
     except (pa.ArrowException, OSError) as error:

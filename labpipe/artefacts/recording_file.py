@@ -27,10 +27,7 @@ _END = object()
 
 
 def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
-    """The same blocks in the same order, one of them read ahead in a thread.
-
-    Errors of reading are raised here.
-    """
+    """The same blocks in the same order, one of them read ahead in a thread, with the errors of reading."""
     iterator = iter(blocks)
     with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
         coming = reader.submit(next, iterator, _END)
@@ -103,9 +100,7 @@ class RecordingWriter:
         self._header = header
 
     def recording(self) -> StoredRecording:
-        """The recording of the closed file, whose content was digested a moment ago and is not digested
-        again.
-        """
+        """The recording of the closed file, without digesting it again."""
         assert self._header is not None
         digest, checksum = self._digests
         header = header_from_json(self._header.to_json(), self._path, "recording", digest)
@@ -158,9 +153,7 @@ class StoredRecording:
 
     @property
     def levels(self) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation [SI] of the channels whose levels were noted when the recording was
-        written.
-        """
+        """Mean and standard deviation [SI] of the channels where they were noted."""
         return {
             name: (float(mean), float(scatter))
             for name, (mean, scatter) in self.header.contents.get("levels", {}).items()

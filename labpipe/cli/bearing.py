@@ -39,9 +39,7 @@ PERCENTAGES = ("mesh_error",)
 
 
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
-    """The matrices, their uncertainties, the equilibrium, the range over one ball passage, and the
-    warnings.
-    """
+    """Matrices, uncertainties, equilibrium, range over one ball passage, and warnings."""
     coefficients = whole.coefficients
     echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
@@ -116,7 +114,6 @@ def _rounding(amounts: Sequence[Amount]) -> float:
 
 
 def _amount(amount: Amount, least: float) -> str:
-    """Name, value and unit; zero below *least* [SI]."""
     name, value = amount.name.removeprefix("load_"), amount.value if abs(amount.value) > least else 0.0
     if amount.name in PERCENTAGES:
         return f"{name} {significant(100 * value, 2)} %"

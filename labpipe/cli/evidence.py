@@ -103,7 +103,6 @@ def _pipeline_of(folder: Path) -> Path:
 
 
 def _day(text: str | None) -> str:
-    """The day as ISO 8601 has it, empty for none; ConfigError for another text."""
     if text is None:
         return ""
     try:
@@ -224,7 +223,6 @@ def _verify_record(folder: Path, quiet: bool) -> int:
 
 
 def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:
-    """Say of every signature of a file or folder whether it holds; how many do not, or are missing."""
     if path.suffix.lower() in (".pdf", DETACHED) and not path.is_file():
         raise DataError("no such file", path, "name a file that `labpipe sign` wrote")
     faults: list[str] = []
@@ -248,9 +246,7 @@ def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet:
 
 @dataclass(frozen=True)
 class Manners:
-    """The options of the command. base: the folder of the raw files, by default that of the pipeline that is
-    named.
-    """
+    """The options of the command."""
 
     again: bool
     jobs: int
@@ -281,9 +277,6 @@ def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manne
 
 
 def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int:
-    """Verify an archive: its files, the artefacts among them, and that its pipeline gives the same bytes
-    again; the exit code.
-    """
     with tempfile.TemporaryDirectory(prefix="labpipe-archive-", ignore_cleanup_errors=True) as scratch:
         archive = unpack(path, Path(scratch))
         for name, fault in archive.faults:
@@ -309,7 +302,6 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
 
 
 def _hindrance(archive: Unpacked) -> str:
-    """Why the pipeline of an archive is not run again unless that is asked for; empty where it is."""
     if archive.left_out:
         return f"of {archive.left_out} files the archive holds the digests only"
     made = read_identification(archive.results / NAME)

@@ -23,9 +23,7 @@ QUIET_SECONDS = 1.0
 
 
 class Progress:
-    """Shows after each test the number finished and the remaining time: one changing line on a terminal, one
-    line each with -v.
-    """
+    """Tests finished and time left: one changing line on a terminal, one line each with -v."""
 
     def __init__(self, verbose: bool) -> None:
         self._begin = time.monotonic()

@@ -53,10 +53,7 @@ def message_line(text: str) -> str:
 
 
 def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print a text.
-
-    Of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal.
-    """
+    """Print a text; of control characters only ends of lines, tabulators and labpipe's own colours."""
     parts = enumerate(_OWN.split(str(text)))
     shown = "".join(part if number % 2 else printable(part, KEPT) for number, part in parts)
     click.echo(shown, err=err, nl=nl)
@@ -88,9 +85,7 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
 
 
 def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
-    """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that
-    suits them.
-    """
+    """A value, its standard error and its unit: *shown*, or else the one that suits them."""
     shown = shown or shown_unit(unit, value, std_error)
     error = None if std_error is None else difference_in(std_error, shown)
     number, uncertainty = written(to_display(value, shown), error)

@@ -143,9 +143,7 @@ def _check(
 def outcomes_of(
     path: Path, output: Path | None, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> tuple[RuleOutcome, ...]:
-    """The outcomes of a pipeline's rules, its results kept in a folder of *output* where that is given;
-    DataError when one of its tests fails.
-    """
+    """The outcomes of a pipeline's rules, its results kept in *output*; DataError when a test fails."""
     pipeline = load_pipeline(path, overrides)
     how = Manner(options.teller(quiet, verbose))
     with tempfile.TemporaryDirectory() as scratch:

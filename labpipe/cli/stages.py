@@ -171,10 +171,6 @@ def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) 
 
 
 def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[MeasuredTest], list[SourceRef]]:
-    """What the folder holds of the pipeline's tests, or frfs: names, with name and conditions of the test.
-
-    What they depend on.
-    """
     tests: list[MeasuredTest] = []
     references: list[SourceRef] = []
     for test in pipeline.tests:

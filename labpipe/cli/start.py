@@ -41,10 +41,7 @@ _VIRTUAL = re.compile(r"\.\./configs/([\w.-]+)\.yaml")
 
 
 def shipped() -> Path:
-    """Where pipelines, configs and sample data are: in the checkout, or beside the installed package.
-
-    ConfigError when nowhere.
-    """
+    """Where pipelines and sample data are: in the checkout, or beside the package; ConfigError if nowhere."""
     for root in (Path(__file__).parents[2], Path(sys.prefix) / "share/labpipe"):
         if (root / "pipelines").is_dir() and (root / "sample_data").is_dir():
             return root
@@ -53,9 +50,7 @@ def shipped() -> Path:
 
 
 def examples() -> dict[str, list[Path]]:
-    """The pipelines of every rig by the rig's name: that of its recordings, or of what describes it where it
-    has none.
-    """
+    """The pipelines of every rig by the rig's name."""
     by_rig: dict[str, list[Path]] = {}
     for path in sorted((shipped() / "pipelines").glob("*.yaml")):
         by_rig.setdefault(_rig_of(path), []).append(path)
@@ -69,11 +64,7 @@ def _rig_of(path: Path) -> str:
 
 
 def copy_example(name: str, output: OutputFolder) -> list[str]:
-    """Copy an example's pipelines with all they name, in the folders that they are in; the names of the
-    pipelines.
-
-    ConfigError when there is none of that name.
-    """
+    """Copy an example's pipelines with all they name; the names of the pipelines. ConfigError for none."""
     pipelines = examples()
     if name not in pipelines:
         raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
@@ -332,7 +323,6 @@ def _rate(swept: Sweep) -> str:
 
 
 def _option(name: str, read: Callable[[], Value]) -> Value:
-    """The value of an option; ConfigError that names the option."""
     try:
         return read()
     except UnitError as error:

@@ -230,7 +230,6 @@ def _frame(chart: Chart) -> Frame:
 
 
 def _without_contents(canvas: Canvas) -> Canvas:
-    """The canvas with nothing in its panels; what stands around them is written anew."""
     around = [*canvas.legends, *(legend for axes in canvas.axes if (legend := axes.get_legend()))]
     inside = [(axes.lines, axes.patches, axes.collections, axes.texts) for axes in canvas.axes]
     for artist in (*around, *(artist for kinds in inside for kind in kinds for artist in list(kind))):
@@ -267,9 +266,6 @@ def _scales(axes: Axes, chart: Chart, number: int) -> None:
 
 
 def _is_lowest(chart: Chart, number: int) -> bool:
-    """Whether the abscissa of a panel has its numbers: it moves alone, or no panel of the chart stands
-    below.
-    """
     return "x" not in chart.shared or number + chart.columns >= len(chart.panels)
 
 
@@ -295,7 +291,6 @@ def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
 
 
 def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[int, Artist]) -> None:
-    """Names once for each colour: in the first panel that has them, or all of them above."""
     listed: dict[tuple[str, int], list[Series]] = {}
     for axes, panel in zip(drawn, chart.panels, strict=True):
         entries: dict[tuple[str, int], list[Series]] = {}
@@ -469,7 +464,6 @@ def _arrow(axes: Axes, series: Series) -> None:
 
 
 def _text(axes: Axes, series: Series) -> None:
-    """Words with their middle at the points; those outside the panel are not shown, as curves are not."""
     look: dict[str, Any] = {"fontsize": series.size, "color": tone(series.colour), "clip_on": True}
     for x, y, text in zip(series.x, series.y, series.texts[0], strict=True):
         axes.text(x, y, text, ha="center", va="center", **look)

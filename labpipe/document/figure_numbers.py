@@ -214,9 +214,7 @@ def figure_csv(chart: Chart, caption: str) -> str:
 
 
 def figure_table(chart: Chart) -> Table:
-    """The same rows for a page without script: of a long series points at equal distances, its first and last
-    among them.
-    """
+    """The same rows for a page without script: of a long series a few, its first and last among them."""
     every = _rows_of_series(chart)
     room = max(2, MOST_ROWS // max(len(every), 1))
     chosen = [

@@ -100,9 +100,7 @@ def live_json(graphic: Graphic) -> tuple[str, str] | None:
 
 
 def drawing_source(drawing: Drawing) -> str:
-    """A drawing as the source of an image inside the page: lines, or dots in print resolution where these are
-    shorter.
-    """
+    """A drawing as the source of an image inside the page: lines, or dots where these are shorter."""
     # Matplotlib, which takes its time to load, is for drawings alone.
     from labpipe.document.charts import canvas_of, png_bytes, svg_text
 
@@ -148,7 +146,6 @@ def _name(table: Table) -> str:
 
 
 def _whole(table: Table) -> str:
-    """Rows under a header; a first cell with text is the row's header."""
     caption = f"<caption>{escape(as_printed(table.caption))}</caption>" if table.caption else ""
     heads = "".join(
         f'<th scope="col"{_mark(table, n)}>{escape(as_printed(text))}</th>'

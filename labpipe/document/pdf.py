@@ -186,7 +186,6 @@ def render_pdf(document: Document) -> bytes:
 
 
 def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
-    """All text, and the places of the drawings; of *many* charts two share a row."""
     pages.add_page()
     if document.to_sign:
         _cover(pages, document)
@@ -208,7 +207,6 @@ def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
 
 
 def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]]:
-    """The blocks, two charts that follow each other as a pair."""
     left = list(blocks)
     while left:
         first, second = left[0], left[1] if len(left) > 1 else None
@@ -292,7 +290,6 @@ def _size(figure: Figure) -> tuple[float, float]:
 
 
 def _cover(pages: _Pages, document: Document) -> None:
-    """Title, object of the test, the first section: verdict, numbers, what shows them; and place to sign."""
     pages.set_y(20)
     _title(pages, document)
     pages.ln(4)

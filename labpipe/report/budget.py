@@ -100,7 +100,6 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
 
 
 def _sources(budget: Budget, names: list[str]) -> list[str]:
-    """Sources and noise by their largest share in any of the parameters, the largest first."""
     largest: dict[str, float] = {}
     for name in names:
         for source, share in budget.shares(name).items():

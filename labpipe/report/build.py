@@ -19,7 +19,7 @@ from labpipe.report.cover import cover_facts, result_blocks, rule_blocks, sectio
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
-from labpipe.report.wording import fit_title
+from labpipe.report.wording import few, fit_title
 from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to
@@ -95,9 +95,7 @@ def _not_checked(identification: Identification) -> str:
 
 
 def _listing(origins: Iterable[str], mark: str = ", ") -> str:
-    names = list(dict.fromkeys(origins))
-    more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []
-    return mark.join([*names[:MOST_NOTES], *more])
+    return few(list(dict.fromkeys(origins)), MOST_NOTES, mark)
 
 
 def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:

@@ -45,9 +45,7 @@ class Value:
 
 @dataclass(frozen=True)
 class CoefficientSeries:
-    """The values of one parameter of one fit, by their dates where all tests have one, else as the results
-    were given.
-    """
+    """The values of one parameter of one fit, by dates where all have one, else in the order given."""
 
     fit: str
     name: str
@@ -115,10 +113,7 @@ class CoefficientSeries:
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
-    """Every parameter that two results or more have, of fits and other sections.
-
-    Sliding fits are drawn over frequency instead.
-    """
+    """Every parameter that two results or more have, but for those of sliding fits."""
     groups: dict[tuple[str, str], list[Value]] = {}
     for result, identification in results:
         for listed in single_parameters(identification):
@@ -183,10 +178,7 @@ N_TREND = 41
 
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
-    """Values with their 95 % intervals over a condition.
-
-    The weighted line with its 95 % interval where there are three or more.
-    """
+    """Values with their 95 % intervals over a condition; of three or more their weighted line."""
     axis, x = series.over()[condition]
     low, high = series.intervals().T
     tests = dots("tests", x, series.shown(), marker="o", size=4.0, bars=(low, high))
@@ -199,7 +191,6 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 
 def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
-    """The weighted line over x (n,) with its 95 % interval; nothing where the tests do not carry one."""
     try:
         line = straight_trend(x, series.shown(), series.joint_errors())
     except FitError:
@@ -226,10 +217,7 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
 
 
 def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
-    """Every coefficient of sliding fits over frequency, one curve per test.
-
-    Where two tests or more have them.
-    """
+    """Every coefficient of the sliding fits of two tests or more over frequency, a curve per test."""
     groups: dict[tuple[str, str], dict[str, list[Fit]]] = {}
     for result, identification in results:
         for fit in identification.fits:
@@ -297,9 +285,8 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
             "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
         )
     trends = [trend for coefficient in series for trend in _trends(coefficient)]
-    differences = [_Differences.of(coefficient) for coefficient in series]
+    differences = _apart(series)
     corrected = holm(np.array([trend.p_value for trend in trends]))
-    _correct(differences)
     sections = (
         Section("Verdict", _verdict(series, trends, corrected, differences)),
         Section("Results", (_results(results),)),
@@ -318,38 +305,30 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     return Document(f"Campaign: {title}", subtitle, sections, cover_facts(identifications))
 
 
-@dataclass
-class _Differences:
-    """Each value of a series against the others: difference, p-value and, once all have one, that
-    corrected.
-    """
-
-    difference: FloatArray
-    p_value: FloatArray
-    corrected: FloatArray
-
-    @classmethod
-    def of(cls, coefficient: CoefficientSeries) -> _Differences:
-        """The differences of a series; NaN where its values have no errors."""
-        try:
-            difference, p_value = from_the_rest(coefficient.shown(), coefficient.joint_errors())
-        except FitError:
-            difference = p_value = np.full(len(coefficient.values), np.nan)
-        return cls(difference, p_value, p_value.copy())
+# The difference of each value of a series from the others [display unit], and its p-value after Holm.
+Apart = tuple[FloatArray, FloatArray]
 
 
-def _correct(differences: Sequence[_Differences]) -> None:
-    """Holm's correction over all differences; two values are one test, not two."""
-    tested = [coefficient for coefficient in differences if np.all(np.isfinite(coefficient.p_value))]
-    counted = [
-        coefficient.p_value if coefficient.p_value.size > 2 else coefficient.p_value[:1]
-        for coefficient in tested
-    ]
-    if not counted:
-        return
-    corrected = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
-    for coefficient, part in zip(tested, corrected, strict=True):
-        coefficient.corrected = np.resize(part, coefficient.p_value.size)
+def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
+    """Of every series, NaN where its values have no errors. All are corrected together."""
+    found = [_from_the_rest(coefficient) for coefficient in series]
+    corrected = [p for _, p in found]
+    tested = [number for number, p in enumerate(corrected) if np.all(np.isfinite(p))]
+    if tested:
+        # Two values are one test, not two.
+        counted = [corrected[number][: None if corrected[number].size > 2 else 1] for number in tested]
+        parts = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
+        for number, part in zip(tested, parts, strict=True):
+            corrected[number] = np.resize(part, corrected[number].size)
+    return [(difference, p) for (difference, _), p in zip(found, corrected, strict=True)]
+
+
+def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
+    try:
+        return from_the_rest(coefficient.shown(), coefficient.joint_errors())
+    except FitError:
+        unknown = np.full(len(coefficient.values), np.nan)
+        return unknown, unknown
 
 
 def _trends(coefficient: CoefficientSeries) -> list[Trend]:
@@ -369,7 +348,7 @@ def _verdict(
     series: Sequence[CoefficientSeries],
     trends: Sequence[Trend],
     corrected: FloatArray,
-    differences: Sequence[_Differences],
+    differences: Sequence[Apart],
 ) -> tuple[Block, ...]:
     charted = [coefficient for coefficient in series if len(coefficient.values) >= FEWEST]
     labels = [(coefficient.title, _outside(coefficient)) for coefficient in charted]
@@ -379,7 +358,7 @@ def _verdict(
         for trend, p in zip(trends, corrected, strict=True)
         if p < LEVEL
     ]
-    n_apart = sum(int(np.sum(apart.corrected < LEVEL)) for apart in differences)
+    n_apart = sum(int(np.sum(p < LEVEL)) for _, p in differences)
     n = len(charted)
     if outside:
         which = f"{len(outside)} of {n} charts have values beyond their limits: {', '.join(outside)}."
@@ -440,7 +419,7 @@ def _slope_unit(trend: Trend) -> str:
     return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
-def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block, ...]:
+def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
     blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
         limits, n = control_limits(coefficient.shown()), len(coefficient.values)
@@ -456,11 +435,11 @@ def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block,
     return (*blocks, _value_table(coefficient, apart))
 
 
-def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
+def _value_table(coefficient: CoefficientSeries, apart: Apart) -> Table:
     rows = []
-    over = coefficient.over()
+    over, (differences, corrected) = coefficient.over(), apart
     for n, (value, error) in enumerate(zip(coefficient.shown(), coefficient.errors(), strict=True)):
-        (low, high), p = coefficient.intervals()[n], apart.corrected[n]
+        (low, high), p = coefficient.intervals()[n], corrected[n]
         rows.append(
             (
                 coefficient.values[n].label,
@@ -468,7 +447,7 @@ def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
                 rounded(value, error),
                 " to ".join(written(value, error, low, high)[2:]) if np.isfinite(low) else "none",
-                rounded(apart.difference[n], error) if np.isfinite(apart.difference[n]) else "",
+                rounded(differences[n], error) if np.isfinite(differences[n]) else "",
                 f"{p:.2g}{' *' if p < LEVEL else ''}" if np.isfinite(p) else "",
             )
         )

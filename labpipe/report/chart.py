@@ -196,9 +196,7 @@ def labels(
 
 
 def look(number: int) -> tuple[int, str]:
-    """Colour and line of the curve of this number among many: where colours begin anew the lines are
-    dashed.
-    """
+    """Colour and line of a curve by its number: where colours begin anew the lines are dashed."""
     return number % PALETTE_SIZE, LINES[number // PALETTE_SIZE % len(LINES)]
 
 
@@ -275,16 +273,11 @@ class Chart:
         return tuple(share / sum(shares) for share in shares)
 
     def group(self, number: int, which: str) -> int:
-        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with.
-
-        Its own number where it moves alone.
-        """
+        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with, or its own."""
         return 0 if which in self.shared else number
 
     def limits(self, number: int, which: str) -> tuple[float, float]:
-        """Both ends of an axis of a panel: as stated, else from all series of the panels that it moves
-        with.
-        """
+        """Both ends of an axis: as stated, else from all series of the panels that it moves with."""
         panels = self.panels if which in self.shared else (self.panels[number],)
         axis = getattr(self.panels[number], which)
         drawn = [series for panel in panels for series in panel.series]

@@ -29,10 +29,7 @@ CIRCLE = np.linspace(0.0, 2 * math.pi, 121)
 
 
 def coverage_figure(matrix: comparison.ConditionMatrix) -> list[Figure]:
-    """Number of tests at every combination of the first two conditions.
-
-    Nothing where there is one condition.
-    """
+    """Number of tests at every combination of the first two conditions, where there are two."""
     if len(matrix.axes) < 2:
         return []
     counts = np.zeros((len(matrix.axes[1].levels), len(matrix.axes[0].levels)), int)
@@ -63,10 +60,7 @@ def _unit(axis: comparison.ConditionAxis) -> str:
 
 
 def coefficient_figures(matrix: comparison.ConditionMatrix, name: str) -> list[Figure]:
-    """One figure of lines for every combination of the third and further conditions.
-
-    Of two conditions a map as well.
-    """
+    """Lines, and of two conditions a map, for every combination of the further conditions."""
     groups: dict[tuple[int, ...], list[Valued]] = {}
     for point in matrix.points:
         if (value := point.value(name)) is not None:
@@ -125,9 +119,7 @@ def _number_text(value: float) -> str:
 
 
 def path_figure(matrix: comparison.ConditionMatrix) -> Figure:
-    """The rest positions over the load, one line per level of the other conditions, within the clearance
-    circle where it is known.
-    """
+    """The rest positions over the load, one line per level of the other conditions."""
     series: list[chart.Series] = []
     for number, path in enumerate(matrix.paths):
         scale = 1e6 if path.clearance is None else 1.0 / path.clearance
@@ -215,12 +207,11 @@ def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -
 
 
 def _beside(point: comparison.MatrixPoint) -> tuple[str, ...]:
-    texts = []
-    for entry in point.beside:
-        unit = comparison.condition_unit(entry.name, entry.unit)
-        value, scatter = to_display(entry.value, unit), _size(entry.scatter, unit)
-        texts.append(with_error(value, scatter or None))
-    return tuple(texts)
+    units = [comparison.condition_unit(entry.name, entry.unit) for entry in point.beside]
+    return tuple(
+        with_error(to_display(entry.value, unit), _size(entry.scatter, unit) or None)
+        for entry, unit in zip(point.beside, units, strict=True)
+    )
 
 
 def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, ...]:

@@ -203,7 +203,6 @@ def _single_fits(identification: Identification) -> list[Fit]:
 
 
 def _in_print(parameter: Parameter) -> tuple[str, str]:
-    """Value and interval as one writes them, and half the interval relative to the value."""
     if parameter.ci95 is None:
         unit = shown_unit(parameter.unit, parameter.value)
         why = "at the end of its range" if parameter.at_bound else "no interval, see the warnings"

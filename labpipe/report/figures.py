@@ -59,10 +59,7 @@ def phase_degrees(values: ComplexArray) -> FloatArray:
 
 
 def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
-    """Amplitude, phase and residual of measured against fitted FRF.
-
-    The residual with its 95 % band where the covariance is known.
-    """
+    """Amplitude, phase and residual of measured against fitted FRF, with the 95 % band of noise."""
     pairs = list(np.ndindex(fitted.measured.shape[1:]))
     amplitude: list[chart.Series] = []
     phase: list[chart.Series] = []
@@ -180,9 +177,7 @@ def element_names(response: FrequencyResponse) -> list[tuple[int, int, str]]:
 
 
 def response_figure(response: FrequencyResponse) -> Figure:
-    """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel
-    (periodic data).
-    """
+    """The measured FRF with its coherence, or signal-to-noise ratio per channel."""
     name, factor = response.name or "the measurement", form_unit(response.form)[1]
     amplitude = _elements(response, factor * np.abs(response.matrix))
     quality, what = _quality(response)
@@ -213,9 +208,6 @@ def _elements(response: FrequencyResponse, values: FloatArray) -> list[chart.Ser
 
 
 def _quality(response: FrequencyResponse) -> tuple[chart.Panel | None, str]:
-    """The panel on the quality of the FRF (coherence, standard deviation), None where nothing is known of it,
-    and its description.
-    """
     for title, coherence, what in (
         ("partial coherence", response.partial_coherence, PARTIAL),
         ("coherence", response.coherence, "its coherence"),
@@ -447,9 +439,7 @@ def project(points: FloatArray, azimuth: float, elevation: float) -> FloatArray:
 
 
 def shape_figures(title: str, modes: Modes) -> list[Figure]:
-    """The shapes on the structure, a few modes in each figure; nothing without a geometry. *title*: of the
-    fit.
-    """
+    """The shapes on the structure, a few modes in each figure of the fit *title*; none without a geometry."""
     if modes.geometry is None:
         return []
     n_mode = modes.frequency.size

@@ -113,9 +113,7 @@ def _wording(block: Block) -> object:
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
-    """The figures of a single fit: measured and fitted FRF, the repeats that values are means of, correlation
-    of the estimates.
-    """
+    """Measured and fitted FRF, the repeats that values are means of, correlation of the estimates."""
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
@@ -171,7 +169,6 @@ def _is_mapped(fit: Fit) -> bool:
 
 
 def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
-    """The correlation of a few estimates, in words: of more than four the largest; more stand in a figure."""
     n = fit.correlation.shape[0]
     if n < 2 or _is_mapped(fit) or all(parameter.std_error is None for parameter in fit.parameters):
         return ()

@@ -23,10 +23,7 @@ SMALL_DOT = 2.5
 
 
 def prediction_figures(comparison: Comparison) -> list[Figure]:
-    """k and c of the bands beside the prediction and, below, measured / predicted stiffness.
-
-    Every test in its colour.
-    """
+    """k and c of the bands beside the prediction; below, measured / predicted stiffness."""
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
     tests = list(dict.fromkeys(band.test for band in comparison.bands))
     ratios = []
@@ -48,10 +45,7 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
 
 
 def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) -> Panel:
-    """One coefficient of every test beside its prediction.
-
-    The axis shows nine values in ten and all of the prediction.
-    """
+    """One coefficient beside its prediction; the axis shows nine values in ten."""
     series: list[Series] = []
     ends: list[float] = []
     for number, test in enumerate(tests):
@@ -107,10 +101,7 @@ def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int
 
 
 def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Ends (SI) between which nine values in ten and all of the prediction lie.
-
-    The widest intervals reach beyond.
-    """
+    """Ends (SI) between which nine values in ten and all of the prediction lie."""
     values, predicted = np.array([[band.value, band.other] for band in bands]).T
     shown = np.concatenate([np.nanquantile(values, [0.05, 0.95]), predicted])
     margin = 0.25 * float(np.ptp(shown) or np.max(np.abs(shown)) or 1.0)
@@ -125,20 +116,14 @@ def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float 
 
 
 def _ratio_range(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Both ends of an axis of ratios: one stands in the middle.
-
-    Nine bands in ten are within with their intervals.
-    """
+    """Ends of an axis of ratios about one: nine bands in ten are within with their intervals."""
     reach = [max(abs(end - 1) for end in band.ratio_ci95) for band in bands if band.ratio_ci95 is not None]
     size = max(LEAST_RATIO_RANGE, 1.1 * float(np.nanquantile(reach, 0.9))) if reach else 1.0
     return 1 - size, 1 + size
 
 
 def band_figures(comparison: Comparison) -> list[Figure]:
-    """Second test over first for every coefficient, with the interval of the difference.
-
-    Bands that differ stand out.
-    """
+    """Second test over first for every coefficient; bands that differ stand out."""
     by_name: dict[str, list[ComparedBand]] = {}
     for band in comparison.bands:
         by_name.setdefault(band.parameter, []).append(band)

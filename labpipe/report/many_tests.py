@@ -65,7 +65,6 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
 
 
 def _in_unit(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
-    """Values (n,) [SI] in the unit that suits them all."""
     unit = readable_unit(columns.unit, columns.values)
     return np.array([to_display(value, unit) for value in values]), unit
 
@@ -73,10 +72,6 @@ def _in_unit(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]
 def _draw(
     x: FloatArray, values: FloatArray, columns: TestColumns, there: NDArray[np.bool_]
 ) -> tuple[tuple[Series, ...], str]:
-    """Points with their intervals, or of more tests the median and bands of groups.
-
-    And how the caption says it.
-    """
     if values.size <= MOST_POINTS:
         low, high = (_in_unit(columns, end[there])[0] for end in (columns.low, columns.high))
         return (dots("tests", x, values, size=3.0, bars=(low, high)),), ", with 95 % intervals"

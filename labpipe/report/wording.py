@@ -105,9 +105,7 @@ def threshold_text(threshold: StudyThreshold, share: float) -> str:
 
 
 def entangled_text(fit: Fit) -> list[str]:
-    """Sentences on parameters that the data hardly tell apart: large variance inflation, near-singular
-    correlation of the estimates.
-    """
+    """Sentences on parameters that the data hardly tell apart."""
     sentences = []
     large = [(p.name, p.vif) for p in fit.parameters if p.vif is not None and p.vif >= LARGE_VIF]
     if large:
@@ -141,10 +139,7 @@ def _beyond_noise(parameter: Parameter) -> float:
 
 
 def interval_text(fit: Fit) -> str:
-    """Sentences on intervals that are wider than those of noise, or missing, and why.
-
-    Empty where noise is all.
-    """
+    """Sentences on intervals that are wider than those of noise, or missing, and why; empty for none."""
     mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
     if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
         return (
