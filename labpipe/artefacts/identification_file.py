@@ -279,9 +279,8 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
     for entry, shown in zip(rules, texts, strict=True):
         decision = json_file.record_of(entry, RuleDecision) if "outcome" in entry else None
-        outcomes.append(
-            RuleOutcome(key, entry["rule"], entry["value"], entry["passed"], shown=shown, decision=decision)
-        )
+        rule = entry["rule"], entry["value"], entry["passed"]
+        outcomes.append(RuleOutcome(key, *rule, shown=shown, decision=decision))
     return outcomes
 
 

@@ -170,10 +170,6 @@ def _run(arguments: list[str]) -> int:
 
 
 def _own_fault(error: Exception) -> int:
-    """Say that labpipe itself is at fault.
-
-    The traceback goes to a file that is named, or to the terminal where that is asked for.
-    """
     from tempfile import NamedTemporaryFile
     from traceback import format_exception
 

@@ -75,12 +75,9 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
     """The rows below their header; the columns in *right* are numbers."""
     rows = [[for_terminal(printable(cell)) for cell in row] for row in rows]
     columns = [number for number in range(len(header)) if any(row[number] for row in rows)]
-    widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in columns}
+    widths = {number: max(len(row[number]) for row in (header, *rows)) for number in columns}
     for row in (header, *rows):
-        cells = (
-            row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number])
-            for number in columns
-        )
+        cells = (f"{row[n]:{'>' if n in right else '<'}{widths[n]}}" for n in columns)
         echo("  ".join(cells).rstrip())
 
 

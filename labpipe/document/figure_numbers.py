@@ -149,15 +149,8 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
         values = [_as_json(_round(row, CELL_DIGITS)) for row in series.y]
-        return {
-            **entry,
-            "name": "",
-            "scale": series.name,
-            "x": nothing,
-            "y": nothing,
-            "texts": series.texts,
-            "values": values,
-        }
+        entry |= {"name": "", "scale": series.name, "x": nothing, "y": nothing}
+        return {**entry, "texts": series.texts, "values": values}
     entry |= {
         "x": numbers.add(series.x),
         "y": numbers.add(series.y, _read_digits(series)),

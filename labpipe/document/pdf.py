@@ -122,7 +122,6 @@ class _Pages(FPDF):
         return lines
 
     def _cut(self, word: str, room: float) -> tuple[list[str], str]:
-        """The lines that a word too long for one fills, and its rest."""
         full = []
         while self.width_of(word) > room and len(word) > 1:
             n = next((n for n in range(len(word) - 1, 1, -1) if self.width_of(word[:n]) <= room), 1)
@@ -394,7 +393,6 @@ def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
 
 
 def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
-    """A drawing in its natural size, at most as wide as the text, with its left side at *x* [mm]."""
     width, height = _size(figure)
     if _as_dots(figure):
         dots = io.BytesIO(png_bytes(canvas_of(figure.graphic)))
@@ -479,7 +477,6 @@ def _row(
     numeric: Sequence[int],
     is_head: bool = False,
 ) -> None:
-    """A row of a table from margin to margin, columns of *widths* [mm], *numeric* ones to the right."""
     pages.set_font(FONT, "B" if is_head else "", 7)
     x, y, height = pages.l_margin, pages.get_y(), _height(row)
     if is_head:

@@ -33,7 +33,7 @@ def recording_card(overview: Overview) -> Document:
         Section("Levels", (_levels(overview.plotted),)),
         Section("Channels", tuple(channel_figure(channel, overview) for channel in overview.plotted)),
     )
-    return _card(overview.file, f"{overview.kind[0].upper()}{overview.kind[1:]}", sections)
+    return _card(overview.file, overview.kind.capitalize(), sections)
 
 
 def response_card(response: FrequencyResponse, file: str) -> Document:
@@ -90,10 +90,10 @@ def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]
         ("uncertainty", " and ".join(uncertainties) or neither),
     )
     drive = "base" if response.form == "transmissibility" else "force"
+    kinds = [("response", port) for port in response.outputs] + [(drive, port) for port in response.inputs]
     ports = tuple(
         (kind, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}")
-        for kind, ports_of_kind in (("response", response.outputs), (drive, response.inputs))
-        for port in ports_of_kind
+        for kind, port in kinds
     )
     return (
         Table(("what", "which"), rows, "Entries of the file"),

@@ -32,7 +32,7 @@ from labpipe.report.wording import legible, unit_text
 
 
 def loop_blocks(comparison: Comparison) -> list[Block]:
-    """Correlations of fitted unknowns, and the bands."""
+    """Correlations of fitted unknowns, or the bands."""
     warnings = [f"{finding.code}: {finding.message}" for finding in of_level(WARNING, comparison.findings)]
     blocks: list[Block] = [Paragraph(f"{'; '.join(warnings)}.", "warning")] if warnings else []
     if comparison.correlations:
@@ -86,7 +86,6 @@ def comparison_figures(comparison: Comparison, responses: Sequence[FrequencyResp
 
 
 def _abscissa(comparison: Comparison, points: Sequence[ComparedPoint]) -> list[float]:
-    """The condition in its display unit, or the number of the test where there is none."""
     if any(point.condition is None for point in points):
         return [float(number) for number in range(1, len(points) + 1)]
     factor = scale_of(comparison.condition_unit)
@@ -106,21 +105,18 @@ def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, c
     factor = scale_of(comparison.unit)
     values = factor * np.array([point.value for point in points])
     ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points]).T
-    return chart.dots(
-        name, _abscissa(comparison, points), values, colour, marker="o", size=4.0, bars=(ends[0], ends[1])
-    )
+    x = _abscissa(comparison, points)
+    return chart.dots(name, x, values, colour, marker="o", size=4.0, bars=(ends[0], ends[1]))
 
 
 def _trend(comparison: Comparison) -> Figure:
     x, y = np.array(comparison.line).T
     law = chart.curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
-    panel = chart.Panel(
-        _condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law)
-    )
+    tests = _tests(comparison, comparison.points, "tests", 0)
+    panel = chart.Panel(_condition(comparison), _subject(comparison), (tests, law))
     mean = f" at the mean {comparison.second}" if comparison.second else ""
-    return _figure(
-        comparison, chart.stack([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}"
-    )
+    meaning = f"tests with 95 % intervals and the fitted law{mean}"
+    return _figure(comparison, chart.stack([panel], 3.2), meaning)
 
 
 def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
@@ -161,15 +157,11 @@ def _repeatability(comparison: Comparison) -> Figure:
         values = [factor * point.value for point in points]
         places = order + np.linspace(-BESIDE, BESIDE, len(points))
         series.append(chart.dots("tests", places, values, marker="o", size=4.0))
-        series.append(
-            chart.curve(
-                "mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5
-            )
-        )
+        bar = [order - BAR, order + BAR], [float(np.mean(values))] * 2
+        series.append(chart.curve("mean of a setting", *bar, 1, width=1.5))
     x = replace(_condition(comparison), ticks=chart.named_ticks(list(groups)))
-    panel = chart.Panel(
-        x, _subject(comparison), (*series, chart.level(mean), chart.span(mean - within, mean + within, 0))
-    )
+    series += [chart.level(mean), chart.span(mean - within, mean + within, 0)]
+    panel = chart.Panel(x, _subject(comparison), tuple(series))
     meaning = "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting"
     return _figure(comparison, chart.stack([panel], 3.2), meaning)
 
@@ -339,15 +331,11 @@ def comparison_sections(comparisons: Comparisons, identification: Identification
 
 def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> tuple[Block, ...]:
     """Statement, amounts, figures, tests."""
+    amounts = tuple(map(_amount_row, comparison.amounts))
     return (
         Paragraph(comparison.statement, "note"),
         Paragraph(EXPLAINED[comparison.kind]),
-        Table(
-            AMOUNT_HEADER,
-            tuple(map(_amount_row, comparison.amounts)),
-            f"Amounts of {comparison.name}",
-            (1, 3, 4),
-        ),
+        Table(AMOUNT_HEADER, amounts, f"Amounts of {comparison.name}", (1, 3, 4)),
         *comparison_figures(comparison, responses),
         *([_point_table(comparison)] if comparison.points else []),
         *loop_blocks(comparison),

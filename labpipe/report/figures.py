@@ -109,9 +109,8 @@ def correlation_figure(fit: Fit) -> Figure:
     texts = [[f"{value:.2f}" for value in row] for row in fit.correlation.tolist()]
     side = max(LEAST_SIDE, 0.42 * len(names) + 1.2)
     axis = chart.Axis(ticks=chart.named_ticks(names))
-    graphic = chart.Chart(
-        (chart.Panel(axis, axis, (chart.cells(fit.correlation, texts),)),), size=(side + 0.9, side)
-    )
+    panel = chart.Panel(axis, axis, (chart.cells(fit.correlation, texts),))
+    graphic = chart.Chart((panel,), size=(side + 0.9, side))
     caption = (
         f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 only one combination of "
         "two parameters is determined."
@@ -188,10 +187,6 @@ def response_figure(response: FrequencyResponse) -> Figure:
 
 
 def _elements(response: FrequencyResponse, values: FloatArray) -> list[chart.Series]:
-    """One curve for every element of (n_frequency, n_output, n_input).
-
-    Of very many the largest, the median and the least.
-    """
     if values[0].size > MOST_CURVES:
         flat, n = values.reshape(values.shape[0], -1), values[0].size
         named = [
@@ -258,12 +253,13 @@ def _before_and_after(fitted: FittedCurve, o: int, i: int) -> chart.Panel:
     assert fitted.before is not None
     unit, factor = form_unit(fitted.form)
     lines, after = fitted.drawn
+    measured, before, tuned = (
+        factor * np.abs(values[:, o, i]) for values in (fitted.measured, fitted.before, after)
+    )
     series = (
-        chart.dots("measured", fitted.frequency, factor * np.abs(fitted.measured[:, o, i]), chart.GREY),
-        chart.curve(
-            "before tuning", fitted.frequency, factor * np.abs(fitted.before[:, o, i]), 1, "--", width=1.5
-        ),
-        chart.curve("after tuning", lines, factor * np.abs(after[:, o, i]), width=1.5),
+        chart.dots("measured", fitted.frequency, measured, chart.GREY),
+        chart.curve("before tuning", fitted.frequency, before, 1, "--", width=1.5),
+        chart.curve("after tuning", lines, tuned, width=1.5),
     )
     axis = chart.Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True)
     return chart.Panel(FREQUENCY, axis, series)
@@ -297,9 +293,8 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         chart.dots("residual", lines, factor * _mean_size(fitted.measured - fitted.fitted), 2, size=1.5),
     ]
     if fitted.variance is not None:
-        series.append(
-            chart.curve("noise", lines, factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2))), 3, "--")
-        )
+        noise = factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2)))
+        series.append(chart.curve("noise", lines, noise, 3, "--"))
     number = len(fitted.outputs) * len(fitted.inputs)
     what = f"{fitted.form}, root mean square over all {number} elements"
     caption = f"{fit_title(fit)}: {what}: measured, fitted, and what is left between them."
@@ -335,15 +330,13 @@ def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Amplitude of every element, measured with two standard deviations (dots, shaded) and fitted (line)."""
     rows, columns = len(fitted.outputs), len(fitted.inputs)
     panels = tuple(_element(fitted, o, i) for o, i in np.ndindex(rows, columns))
-    if columns == 1:
+    if min(rows, columns) == 1:
         # One row or column of a matrix, as of a roving test.
-        columns = min(COLUMNS, rows)
+        columns = min(COLUMNS, len(panels))
         rows = -(-len(panels) // columns)
     graphic = chart.Chart(panels, rows, columns, (chart.WIDTH, 0.6 + 1.4 * rows), "xy", "above")
-    caption = (
-        f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) "
-        f"{fitted.form}, response/force."
-    )
+    shaded = "" if fitted.variance is None else "; shaded: two standard deviations"
+    caption = f"{fit_title(fit)}: measured (dots{shaded}) and fitted (lines) {fitted.form}, response/force."
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
     return Figure(graphic, caption, f"Amplitude of every element of {matrix} over frequency")
 
@@ -376,11 +369,8 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
         ]
         if parameter.ci95 is not None:
             series.append(chart.span(factor * parameter.ci95[0], factor * parameter.ci95[1], chart.GREY))
-        panels.append(
-            chart.Panel(
-                chart.Axis("repeat"), chart.Axis(parameter.name, unit_text(parameter.unit)), tuple(series)
-            )
-        )
+        y = chart.Axis(parameter.name, unit_text(parameter.unit))
+        panels.append(chart.Panel(chart.Axis("repeat"), y, tuple(series)))
     left_out = f", of {recorded} (the notes name the others)" if used < recorded else ""
     if groups:
         left_out += f", in {groups} groups"

@@ -212,7 +212,7 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     meaning = (
         f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model "
         f"{fits[0].model}, {fits[0].estimator}. Each value belongs to the centre of its band; ± is one "
-        "standard error, n.s.: not significantly different from zero."
+        "standard uncertainty, n.s.: not significantly different from zero."
     )
     table = Table(header, rows, f"Bands of {wording.fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
     return (Paragraph(meaning), *figures.sliding_figures(fits), table)

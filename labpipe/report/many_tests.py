@@ -83,7 +83,7 @@ def _draw(
     beyond = _furthest(x[order], values[order], groups, below, above)
     outer = curve("95 % of the tests", middle, median, 0, "", band=(below, above), opacity=0.15)
     inner = curve(
-        "median and half of the tests", middle, median, 0, band=(lower, upper), marker=".", opacity=0.3
+        "median and half of the tests", middle, median, band=(lower, upper), marker=".", opacity=0.3
     )
     return (outer, inner, dots("beyond", *beyond, 1, size=3.0)), f", {BANDS}"
 

@@ -115,10 +115,9 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
         series = []
         for run, label in enumerate(spectra.runs):
             colour = run % chart.PALETTE_SIZE
+            turned = factor * minor[:, run]
             series.append(chart.dots(f"{label} major", x, factor * major[:, run], colour, size=2.5))
-            series.append(
-                chart.dots(f"{label} minor", x, factor * minor[:, run], colour, marker="v", size=2.0)
-            )
+            series.append(chart.dots(f"{label} minor", x, turned, colour, marker="v", size=2.0))
         names = " and ".join(spectra.channels[number].name for number in pair)
         sense = "a negative minor axis turns backward, from y to x"
         caption = f"Half axes of the orbits of {names} in every run at each line; {sense}."

@@ -95,10 +95,8 @@ def band_text(fit: Fit) -> str:
 
 def threshold_text(threshold: StudyThreshold, share: float) -> str:
     """The noise level at which a fit's success ends, as a sentence."""
-    what = (
-        f"{threshold.fit}: within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the "
-        "repeats"
-    )
+    within = f"within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the repeats"
+    what = f"{threshold.fit}: {within}"
     if threshold.noise is None:
         return f"{what}: no such noise level in the range searched"
     return f"{what} up to a noise of {100 * threshold.noise:.3g} %"
@@ -110,10 +108,8 @@ def entangled_text(fit: Fit) -> list[str]:
     large = [(p.name, p.vif) for p in fit.parameters if p.vif is not None and p.vif >= LARGE_VIF]
     if large:
         listed = ", ".join(f"{name} ({vif:.3g} times)" for name, vif in large)
-        sentences.append(
-            "Large variance inflation (VIF): the variance is many times what it would be by "
-            f"itself for {listed}."
-        )
+        what = "the variance is many times what it would be by itself"
+        sentences.append(f"Large variance inflation (VIF): {what} for {listed}.")
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     n = min(len(names), fit.correlation.shape[0])
     pairs = [(names[i], names[j], float(fit.correlation[i, j])) for j in range(n) for i in range(j)]

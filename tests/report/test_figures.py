@@ -17,6 +17,7 @@ from labpipe.report.figures import (
     fitted_curve_figure,
     form_unit,
     line_figure,
+    matrix_figure,
     project,
     response_figure,
     sliding_figures,
@@ -204,3 +205,16 @@ def test_views_of_a_structure_are_turned_and_not_stretched() -> None:
         np.testing.assert_allclose([across @ across, up @ up, across @ up], [1, 1, 0], atol=1e-12)
     front, top = (project(np.array([[1.0, 2.0, 3.0]]), *view[1:])[0] for view in VIEWS[1:])
     assert front == pytest.approx([1, 3]) and top == pytest.approx([1, 2])
+
+
+@pytest.mark.parametrize("along", [1, 2], ids=["outputs", "inputs"])
+def test_elements_of_one_row_or_column_stand_in_rows_of_three(along: int) -> None:
+    """Five responses to one force, or one to a hammer at five points: none is a fifth of a page wide."""
+    names = tuple("abcde")
+    shape = {"outputs": names} if along == 1 else {"inputs": names}
+    many = replace(
+        CURVE, measured=np.repeat(MATRIX, 5, along), fitted=np.repeat(MATRIX, 5, along), variance=None
+    )
+    figure = matrix_figure(FIT, replace(many, **shape))
+    assert (figure.graphic.rows, figure.graphic.columns) == (2, 3)
+    assert "(dots) and fitted" in figure.caption
