@@ -234,10 +234,6 @@ def _parameters(path: Path) -> list[ListedParameter]:
 
 
 def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:
-    """A row in one unit, all numbers to the place that the error of the difference supports.
-
-    Differences have no offset (degC).
-    """
     unit = shown_unit(pair.unit, pair.first, pair.second)
     error = None if pair.std_error is None else difference_in(pair.std_error, unit)
     change = difference_in(pair.second - pair.first, unit)

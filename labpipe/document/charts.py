@@ -540,7 +540,6 @@ def plot(result: Any) -> Canvas:
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
-    """The figures of its report in their order, but for a short one on the first page."""
     first, *others = (
         [block for block in section.blocks if isinstance(block, Figure)]
         for section in build(identification).sections

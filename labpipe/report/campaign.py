@@ -20,7 +20,7 @@ from labpipe.records.identification import Fit, Identification, ListedParameter,
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
 from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-from labpipe.report.figures import CENTRE, sliding_curve, sliding_names
+from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import few, rounded, unit_text
 from labpipe.uncertainty.amounts import joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
@@ -229,22 +229,21 @@ def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figu
             label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)
         }
         if len(sliding) > 1:
-            names = sliding_names(next(iter(sliding.values())))
+            units = sliding_units([fit for fits in sliding.values() for fit in fits])
             title = f"{name} of {term}" if term else name
-            figures += [_overlay(title, parameter, sliding) for parameter in names]
+            figures += [_overlay(title, parameter, unit, sliding) for parameter, unit in units.items()]
     return figures
 
 
-def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
-    series = []
-    for number, (label, fits) in enumerate(list(tests.items())[:MOST_TOGETHER]):
-        shared = [fit for fit in fits if any(p.name == parameter for p in fit.parameters)]
-        if shared:
-            series.append(sliding_curve(shared, parameter, label, number, 0.15))
-    unit = unit_text(next(iter(tests.values()))[0].parameter(parameter).unit)
+def _overlay(title: str, parameter: str, unit: str, tests: dict[str, list[Fit]]) -> Figure:
+    series = [
+        sliding_curve(fits, parameter, label, number, 0.15)
+        for number, (label, fits) in enumerate(list(tests.items())[:MOST_TOGETHER])
+        if parameter in sliding_units(fits)
+    ]
     more = f"; the first {MOST_TOGETHER} of {len(tests)}" if len(tests) > MOST_TOGETHER else ""
     caption = f"{title}: {parameter} over frequency of {len(tests)} tests, shaded: 95 % intervals{more}."
-    chart = stack([Panel(CENTRE, Axis(parameter, unit), tuple(series))], 3.4)
+    chart = stack([Panel(CENTRE, Axis(parameter, unit_text(unit)), tuple(series))], 3.4)
     return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
 
 

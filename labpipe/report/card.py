@@ -151,10 +151,6 @@ def channel_figure(channel: ChannelOverview, overview: Overview) -> Figure:
 
 
 def _envelope(channel: ChannelOverview, rate: float | None) -> Panel:
-    """One line up and down through the ends of every stretch.
-
-    The samples themselves where stretches are single samples.
-    """
     envelope = channel.envelope
     starts = np.arange(envelope.low.size) * envelope.step / (rate or 1.0)
     x = Axis("time", "s") if rate else Axis("sample")

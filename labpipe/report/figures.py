@@ -118,14 +118,20 @@ def correlation_figure(fit: Fit) -> Figure:
     return Figure(graphic, caption, f"Correlation matrix of fit {fit_title(fit)}")
 
 
-def sliding_names(fits: Sequence[Fit]) -> list[str]:
-    """The stiffness and damping coefficients of sliding fits."""
-    return [p.name for p in fits[0].parameters if p.unit in ("N/m", "N.s/m") and not p.derived]
+def sliding_units(fits: Sequence[Fit]) -> dict[str, str]:
+    """The units of the stiffness and damping coefficients of sliding fits, of which bands may lack some."""
+    every = (parameter for fit in fits for parameter in fit.parameters if not parameter.derived)
+    return {p.name: p.unit for p in every if p.unit in ("N/m", "N.s/m")}
+
+
+def of_bands(fits: Sequence[Fit], name: str) -> list[Parameter | None]:
+    """The coefficient in every band; None where it was eliminated."""
+    return [next((p for p in fit.parameters if p.name == name), None) for fit in fits]
 
 
 def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
     """Every coefficient over the centre of its band with its 95 % interval, then G.o.F over frequency."""
-    groups = [[name for name in sliding_names(fits) if name.startswith(kind)] for kind in ("k", "c")]
+    groups = [[name for name in sliding_units(fits) if name.startswith(kind)] for kind in ("k", "c")]
     return [*(_coefficient_figure(fits, group) for group in groups if group), _goodness_figure(fits)]
 
 
@@ -133,10 +139,10 @@ def sliding_curve(
     fits: Sequence[Fit], parameter: str, label: str, number: int, opacity: float
 ) -> chart.Series:
     """A coefficient over the centres of its bands [Hz] in the unit people read, shaded: 95 % intervals."""
-    amounts = [fit.parameter(parameter) for fit in fits]
-    factor = scale_of(amounts[0].unit)
-    values = factor * np.array([amount.value for amount in amounts])
-    ends = factor * np.array([amount.ci95 or (np.nan, np.nan) for amount in amounts], float)
+    factor, nothing = scale_of(sliding_units(fits)[parameter]), (np.nan, np.nan)
+    amounts = of_bands(fits, parameter)
+    values = factor * np.array([np.nan if amount is None else amount.value for amount in amounts])
+    ends = factor * np.array([nothing if amount is None else amount.ci95 or nothing for amount in amounts])
     centres, (colour, line) = [fit.centre_hz for fit in fits], chart.look(number)
     return chart.curve(
         label, centres, values, colour, line, marker=".", band=(ends[:, 0], ends[:, 1]), opacity=opacity
@@ -145,7 +151,7 @@ def sliding_curve(
 
 def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
     series = [sliding_curve(fits, name, name, number, 0.2) for number, name in enumerate(names)]
-    y = chart.Axis(names[0][0], unit_text(fits[0].parameter(names[0]).unit))
+    y = chart.Axis(names[0][0], unit_text(sliding_units(fits)[names[0]]))
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
     alternative = f"{what} of {fit_title(fits[0])} over frequency with 95 % interval"

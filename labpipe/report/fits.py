@@ -201,10 +201,9 @@ def _description(fit: Fit) -> str:
 
 
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
-    names = figures.sliding_names(fits)
     units = {
-        name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits))
-        for name in names
+        name: readable_unit(unit, (p.value for p in figures.of_bands(fits, name) if p is not None))
+        for name, unit in figures.sliding_units(fits).items()
     }
     titles = (wording.titled(name, unit) for name, unit in units.items())
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
@@ -214,7 +213,7 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
         f"{fits[0].model}, {fits[0].estimator}. Each value belongs to the centre of its band; ± is one "
         "standard uncertainty, n.s.: not significantly different from zero."
     )
-    table = Table(header, rows, f"Bands of {wording.fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
+    table = Table(header, rows, f"Bands of {wording.fit_title(fits[0])}", tuple(range(1, 3 + len(units))))
     return (Paragraph(meaning), *figures.sliding_figures(fits), table)
 
 
@@ -229,7 +228,9 @@ def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _with_error(fit: Fit, name: str, unit: str) -> str:
-    parameter = fit.parameter(name)
+    (parameter,) = figures.of_bands([fit], name)
+    if parameter is None:
+        return "eliminated"
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
     mark = " n.s." if wording.significance(parameter, fit.dof) == "n.s." else ""
     return f"{with_error(to_display(parameter.value, unit), error)}{mark}"
