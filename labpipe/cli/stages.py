@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
 
 from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.many import Progress, echo_failed, manner, silent
@@ -177,11 +179,17 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
         for ready in test.frfs:
             tests.append(load_ready_measured(ready, test.name, test.conditions))
             references.extend(ready_refs(ready))
-        measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
+        settings = test.frf or pipeline.frf
+        measured_path = folder.read_path(measured_file_name(test.name, settings))
         if test.recordings and not measured_path.exists():
             hint = "run `labpipe frf` first, or `labpipe run` for all stages"
             raise DataError("no such file", measured_path, hint)
         if test.recordings:
+            made = header_of(measured_path).parameters.get("frf", {})
+            now = json.loads(json.dumps(asdict(settings))) if settings else {}
+            if other := [key for key, value in now.items() if made.get(key, value) != value]:
+                what = f"was made with another {', '.join(other)} of `frf:` than the pipeline has"
+                raise DataError(what, measured_path, "run `labpipe frf` again")
             tests.append(load_measured(measured_path))
             references.append(source_ref(measured_path, measured_path.parent))
     return tests, references

@@ -161,7 +161,6 @@ def _put(canvas: Canvas, places: Sequence[Any]) -> None:
 
 
 def _words(canvas: Canvas) -> Words:
-    """Of a chart: size, places of panels, titles, names and numbers."""
     words = [*canvas.get_size_inches(), *(text.get_text() for text in canvas.texts)]
     for legend in (*canvas.legends, *(axes.get_legend() for axes in canvas.axes)):
         words += [text.get_text() for text in legend.get_texts()] if legend else [None]
@@ -310,7 +309,6 @@ def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[
 def _samples(
     entries: dict[tuple[str, int], list[Series]], handles: dict[int, Artist]
 ) -> tuple[list[Any], list[str]]:
-    """Samples and names: of an entry its first line and its first marks, one on the other."""
     samples: list[Any] = []
     for series in entries.values():
         lined = next((curve for curve in series if curve.line), series[0])

@@ -211,9 +211,10 @@ def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]
         first, second = left[0], left[1] if len(left) > 1 else None
         if _is_chart(first) and _is_chart(second):
             yield first, second
+            del left[:2]
         else:
             yield first
-        del left[: 2 if _is_chart(first) and _is_chart(second) else 1]
+            del left[0]
 
 
 def _is_chart(block: Block | None) -> TypeGuard[Figure]:
@@ -282,7 +283,6 @@ def _height_of(pages: _Pages, section: Section) -> float:
 
 
 def _size(figure: Figure) -> tuple[float, float]:
-    """Width and height [mm] of a drawing in its natural size, at most as wide as the text."""
     inches_wide, inches_high = figure.graphic.size
     width = min(25.4 * inches_wide, WIDEST_FIGURE)
     return width, width * inches_high / inches_wide

@@ -382,3 +382,13 @@ def test_signatures_of_results_elsewhere_are_not_passed_over(labpipe) -> None:
 def test_a_bearing_on_standard_output_has_its_folder_as_well(tmp_path: Path, labpipe) -> None:
     ended = labpipe("bearing", "configs/bearings/skf-6203.yaml", "--json", "-", "-o", tmp_path)
     assert ended.code == 0 and json.loads(ended.out)["kind"] == "ball-bearing" and any(tmp_path.iterdir())
+
+
+def test_identify_refuses_responses_that_were_made_with_other_settings(tmp_path: Path, labpipe) -> None:
+    """The result would state settings that its numbers do not have."""
+    stage = ("-c", PEDESTAL, "-o", tmp_path)
+    assert labpipe("frf", *stage).code == 0
+    ended = labpipe("identify", *stage, "--set", "frf.exclude=[64-66 Hz]")
+    assert ended.code == 2 and "was made with another exclude of `frf:` than the pipeline has" in ended.err
+    assert not (tmp_path / "identification.json").exists()
+    assert labpipe("identify", *stage).code == 0
