@@ -1,7 +1,5 @@
-"""``dataset/``: the results of many tests as rows of Parquet files, and their columns for reports.
-
-``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and for
-whatever reads Parquet.
+"""``dataset/rig=RIG/date=DATE/part-....results.parquet``: the results of many tests as rows, for labpipe and
+for whatever reads Parquet, and their columns for reports.
 
 Schema "labpipe/results/1": a row of `DatasetRow` for each test, fit and parameter; rig and date stand in the
 folders' names (Hive's layout), every condition NAME in a column condition.NAME as people wrote it, and in
@@ -70,10 +68,7 @@ class Part:
 
 
 def write_parts(results: Sequence[dataset.TestResult], output: OutputFolder) -> list[str]:
-    """Write the rows of tests, one part for each rig and date, in their order.
-
-    The names of the parts below the output folder.
-    """
+    """Write the rows of tests, one part for each rig and date; the names of the parts."""
     groups: dict[tuple[str, str], list[dataset.TestResult]] = {}
     for result in results:
         if result.rows:
@@ -163,10 +158,7 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
 
 
 def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
-    """The rows of all parts in a folder of results, conditions that a part lacks as nulls.
-
-    DataError where there is no part.
-    """
+    """The rows of all parts in a folder, conditions that a part lacks as nulls; DataError without a part."""
     tables = [read_part(part, columns) for part in parts(folder)]
     if not tables:
         raise DataError("holds no dataset of results", folder)
@@ -178,18 +170,13 @@ def columns_of_conditions(names: Sequence[str]) -> Iterator[str]:
     return (name.removeprefix(CONDITION) for name in names if name.startswith(CONDITION))
 
 
-# A dataset of results read for a report: every parameter of every fit as columns over the tests.
-
 KEYS = ("fit", "term", "parameter", "unit", "low_hz", "high_hz")
 # Tests that a report names one by one.
 MOST = 100
 
 
 def read_many_tests(folder: Path) -> dataset.ManyTests:
-    """The dataset of a folder of results.
-
-    DataError where there is none, DamagedError for a part that labpipe did not write.
-    """
+    """The dataset of a folder; DataError without one, DamagedError for a part not by labpipe."""
     table = read_rows(folder)
     table = table.sort_by([("date", "ascending"), ("test", "ascending")])
     valid = table.filter(pc.is_valid(table["parameter"]))
@@ -232,11 +219,8 @@ def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
     for column in table.column_names:
         if column.startswith(AMOUNT):
             name = column.removeprefix(AMOUNT)
-            units = {
-                amount_of(text)[1]
-                for text in pc.unique(table[CONDITION + name]).to_pylist()
-                if text is not None
-            }
+            texts = pc.unique(table[CONDITION + name]).drop_null().to_pylist()
+            units = {amount_of(text)[1] for text in texts}
             if len(units) == 1:
                 yield name, (units.pop(), _numbers(table, column))
 

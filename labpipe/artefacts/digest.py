@@ -77,10 +77,7 @@ def mismatch(path: Path) -> DamagedError:
 
 
 def stamp_parquet(path: Path) -> tuple[str, str]:
-    """Put the digest of a finished Parquet file into the place that its metadata keep for it.
-
-    That digest, and the SHA-256 of the file.
-    """
+    """Put the digest of a finished Parquet file into its place; it, and the SHA-256 of the whole file."""
     place = _digest_place(path)
     if place is None:
         raise AssertionError(f"{path} has no place for a digest")
@@ -94,17 +91,14 @@ def stamp_parquet(path: Path) -> tuple[str, str]:
 
 
 def parquet_digest(path: Path) -> str:
-    """The verified digest of a Parquet file, empty when it carries none.
-
-    DamagedError when its content does not match.
-    """
+    """The verified digest of a Parquet file, "" without one; DamagedError where its content is another."""
     place = _digest_place(path)
     if place is None:
         return ""
     with path.open("rb") as stream:
         stream.seek(place)
         stated = stream.read(len(BLANK)).decode("latin-1")
-    if _digest_without(path, place) != stated:
+    if _digest_after(path, place, _digest_before(path, place), BLANK) != stated:
         raise mismatch(path)
     return stated
 
@@ -126,11 +120,6 @@ def _digest_place(path: Path) -> int | None:
     return begin + matches[-1].start(1) if matches else None
 
 
-def _digest_without(path: Path, place: int) -> str:
-    """SHA-256 of the file with zeros in the place of its digest."""
-    return _digest_after(path, place, _digest_before(path, place), BLANK)
-
-
 def _digest_before(path: Path, place: int) -> hashlib._Hash:
     """SHA-256 of the file up to the place of its digest, to be continued."""
     digest, buffer = hashlib.sha256(), memoryview(bytearray(CHUNK))
@@ -143,9 +132,7 @@ def _digest_before(path: Path, place: int) -> hashlib._Hash:
 
 
 def _digest_after(path: Path, place: int, before: hashlib._Hash, middle: bytes) -> str:
-    """SHA-256 of what stands *before* the place of the digest, of *middle* in it, and of what follows in the
-    file.
-    """
+    """SHA-256 of what stands *before* the place of the digest, *middle* in it, and of the rest."""
     digest = before.copy()
     digest.update(middle)
     with path.open("rb") as stream:

@@ -7,7 +7,6 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, field
 from importlib.metadata import PackageNotFoundError, distribution, entry_points
 from pathlib import Path
@@ -30,9 +29,7 @@ PLUG_IN_GROUPS = "labpipe."
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 over the source of labpipe, and name and version of every other package that adds to its
-    tables.
-    """
+    """SHA-256 over labpipe's source, and name and version of every package that adds to its tables."""
     digest = hashlib.sha256()
     root = Path(labpipe.__file__).parent
     for path in sorted((*root.rglob("*.py"), *root.rglob("entry_points.txt"))):
@@ -45,12 +42,8 @@ def code_digest() -> str:
 
 def _plug_ins() -> set[str]:
     every = entry_points()
-    added = (
-        entry
-        for group in every.groups
-        if group.startswith(PLUG_IN_GROUPS)
-        for entry in every.select(group=group)
-    )
+    groups = (group for group in every.groups if group.startswith(PLUG_IN_GROUPS))
+    added = (entry for group in groups for entry in every.select(group=group))
     # Whatever is asked of a package's metadata reads them anew.
     name_of = functools.cache(lambda package: package.name)
     # What labpipe itself adds is source. Its metadata may lie there twice, as an old folder beside the
@@ -70,10 +63,14 @@ SHORT = 10
 
 
 def commit(package: Path = Path(__file__).parent) -> str:
-    """The first SHORT letters of the commit, empty where nothing names it; *package*: the folder of the
-    code.
-    """
+    """The first SHORT letters of the commit of the code in *package*, empty where nothing names it."""
     return (of_checkout(package.parent / ".git") or _of_installation())[:SHORT]
+
+
+def version_text() -> str:
+    """The version, and the commit where it is known."""
+    known = commit()
+    return f"{__version__} (commit {known})" if known else __version__
 
 
 def of_checkout(git: Path) -> str:
@@ -99,9 +96,6 @@ def _of_installation() -> str:
     except (PackageNotFoundError, ValueError, AttributeError):
         return ""
 
-
-# The header of every artefact: kind, schema number, parameters, input checksums, findings, version; no
-# clock.
 
 SCHEMA = 1
 
@@ -141,14 +135,10 @@ class Header:
     def same_work(self, other: Header) -> bool:
         """Whether both were made from the same inputs with the same parameters by the same code."""
         mine, theirs = (
-            json.dumps([h.kind, h.schema, h.labpipe, h.code, h.parameters, _asdicts(h.inputs)])
+            json.dumps([h.kind, h.schema, h.labpipe, h.code, h.parameters, h.inputs], default=vars)
             for h in (self, other)
         )
         return mine == theirs
-
-
-def _asdicts(records: Iterable[Any]) -> list[dict[str, Any]]:
-    return [dataclasses.asdict(record) for record in records]
 
 
 def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "") -> Header:

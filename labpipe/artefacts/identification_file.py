@@ -102,10 +102,7 @@ def write_fits(
 
 
 def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[SourceRef]) -> bool:
-    """True if the file contains the fits of these settings and responses by this version.
-
-    DamagedError for a file that it did not write.
-    """
+    """True if the file holds the fits of these settings and responses; DamagedError for another file."""
     if not path.exists():
         return False
     entries = json_file.read_digested(path, "file of fits")
@@ -171,10 +168,7 @@ def write_identification(path: Path, identification: Identification) -> None:
 
 
 def read_identification(path: Path) -> Identification:
-    """The result of an identification.json.
-
-    DataError when the file is none, or was changed after labpipe wrote it.
-    """
+    """The result of an identification.json; DataError for another file, or one changed since."""
     try:
         entries = json_file.read_digested(path, NAME)
     except FileNotFoundError:
@@ -260,7 +254,6 @@ _WITHOUT_SECTIONS = {
 
 
 def _records(entries: dict[str, Any]) -> dict[str, Any]:
-    """The records of all sections, by the section's key."""
     if set(entries) <= _WITHOUT_SECTIONS:
         return {}
     there = ((name, part) for name, part in sections() if part.entry in entries)
@@ -286,9 +279,8 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
     for entry, shown in zip(rules, texts, strict=True):
         decision = json_file.record_of(entry, RuleDecision) if "outcome" in entry else None
-        outcomes.append(
-            RuleOutcome(key, entry["rule"], entry["value"], entry["passed"], shown=shown, decision=decision)
-        )
+        rule = entry["rule"], entry["value"], entry["passed"]
+        outcomes.append(RuleOutcome(key, *rule, shown=shown, decision=decision))
     return outcomes
 
 

@@ -72,10 +72,7 @@ def _contents_elsewhere(record: Any) -> set[str]:
 
 
 def record_of(entry: Any, kind: Any) -> Any:
-    """The record of a declared type from its entry.
-
-    KeyError, TypeError or ValueError where the entry is not of that type.
-    """
+    """The record of a declared type; KeyError, TypeError or ValueError for an entry of another type."""
     origin = get_origin(kind)
     if kind is Any:
         return entry
@@ -241,10 +238,7 @@ NAMES_BEFORE = {"doubt": "uncertainty", "doubts": "uncertainties"}
 
 
 def json_value(text: str) -> Any:
-    """The value of a JSON text with its entries under the names of this version.
-
-    ValueError, RecursionError as from json.loads.
-    """
+    """The value of a JSON text, its entries under the names of this version; errors of json.loads."""
     old = any(f'"{name}"' in text for name in NAMES_BEFORE)
     return json.loads(text, object_hook=_under_new_names if old else None)
 

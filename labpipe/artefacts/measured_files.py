@@ -11,25 +11,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from labpipe.arrays import ComplexArray, FloatArray, handed_over
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, record_of
-from labpipe.artefacts.parquet import as_written, numpy_array, read_header, read_table, write_columns
-from labpipe.records.recording import Channel
+from labpipe.artefacts.parquet import as_written, numpy_array, read_columns, read_header, write_columns
+from labpipe.artefacts.recording_file import channel_entries, channels_of
 from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
 from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
 from labpipe.records.uncertain import MatrixError, Uncertainty
 
 RESPONSE_SUFFIX = ".frf.parquet"
+Columns = dict[str, FloatArray]
+PARTS = ("re", "im")
 _COMPLEX = ("change", "open_loop")
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
 
 
 def write_response(path: Path, response: FrequencyResponse, header: Header) -> None:
     """Write the response; *header* gets its contents and findings from the response."""
-    columns: dict[str, FloatArray] = {"frequency_hz": response.frequency}
+    columns: Columns = {"frequency_hz": response.frequency}
     for o, output in enumerate(response.outputs):
         for i, port in enumerate(response.inputs):
             pair = f"{output.label}/{port.label}"
@@ -37,7 +38,7 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
         if response.multiple_coherence is not None:
             columns[f"{output.label}:multiple_coh"] = response.multiple_coherence[:, o]
     for p, q in _stored_pairs(response.stored_covariance):
-        columns |= _parts(f"cov:{p}:{q}", response.covariance_of(p, q))
+        columns |= _parts(f"cov:{p}:{q}:", response.covariance_of(p, q))
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
     header = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
@@ -45,24 +46,22 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
 
 
 def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str, FloatArray]]:
-    """The columns of one element, by the ends of their names."""
-    yield from _parts("", response.matrix[:, o, i]).items()
+    yield from _parts(":", response.matrix[:, o, i]).items()
     for attribute, suffix in _BY_ELEMENT.items():
         values = getattr(response, attribute)
         if values is not None:
             yield suffix, values[:, o, i]
     for number, error in enumerate(response.errors):
-        yield from _parts(f":error:{number}", error.change[:, o, i]).items()
+        yield from _parts(f":error:{number}:", error.change[:, o, i]).items()
     for attribute in _COMPLEX:
         beside = getattr(response, attribute)
         if beside is not None:
-            yield f":{attribute}_re", beside[:, o, i].real
-            yield f":{attribute}_im", beside[:, o, i].imag
+            yield from _parts(f":{attribute}_", beside[:, o, i]).items()
     for number, repeat in enumerate(() if response.repeats is None else response.repeats):
-        yield from _parts(f":repeat:{number}", repeat[:, o, i]).items()
+        yield from _parts(f":repeat:{number}:", repeat[:, o, i]).items()
     if response.line_gains is not None:
         for neighbour, gains in enumerate(response.line_gains[:, :, o, i].T):
-            yield from _parts(f":gain:{neighbour}", gains).items()
+            yield from _parts(f":gain:{neighbour}:", gains).items()
 
 
 def _upper(n: int) -> Iterator[tuple[int, int]]:
@@ -112,38 +111,44 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
 
 def read_response(path: Path) -> FrequencyResponse:
     """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
-    header = read_header(path, "frf")
+    header, columns = _read(path, "frf")
     with as_written(path):
-        return _response_of(header, path)
+        return _response_of(header, columns)
 
 
-def _response_of(header: Header, path: Path) -> FrequencyResponse:
+def _read(path: Path, kind: str) -> tuple[Header, Columns]:
+    header, table = read_header(path, kind), read_columns(path)
+    return header, {name: numpy_array(table.column(name)) for name in table.column_names}
+
+
+def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
     contents = header.contents
-    table = read_table(path)
-    columns = {name: numpy_array(table.column(name)) for name in table.column_names}
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
     inputs = tuple(Port(**entry) for entry in contents["inputs"])
     pairs = [[f"{o.label}/{i.label}" for i in inputs] for o in outputs]
     dof = contents["covariance_dof"]
     snr_channels = tuple(contents["snr_channels"])
-    by_element = {
+    optional: dict[str, Any] = {
         name: _matrix(columns, pairs, suffix)
         for name, suffix in _BY_ELEMENT.items()
         if pairs[0][0] + suffix in columns
+    }
+    optional |= {
+        name: _complex_matrix(columns, pairs, f":{name}_")
+        for name in _COMPLEX
+        if f"{pairs[0][0]}:{name}_re" in columns
     }
     has_multiple = f"{outputs[0].label}:multiple_coh" in columns
     n_gain, n_repeat = contents.get("line_gains", 0), len(contents.get("repeats", ()))
     errors = contents.get("errors", [])
     return FrequencyResponse(
         frequency=columns["frequency_hz"],
-        matrix=_matrix(columns, pairs, ":re") + 1j * _matrix(columns, pairs, ":im"),
+        matrix=_complex_matrix(columns, pairs, ":"),
         outputs=outputs,
         inputs=inputs,
         form=contents["form"],
         covariance=_covariance(columns, len(outputs) * len(inputs), contents.get("covariance_blocks")),
-        **by_element,
-        change=_complex(columns, pairs, "change"),
-        open_loop=_complex(columns, pairs, "open_loop"),
+        **optional,
         multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1)
         if has_multiple
         else None,
@@ -172,25 +177,31 @@ def _response_of(header: Header, path: Path) -> FrequencyResponse:
     )
 
 
-def _matrix(columns: dict[str, FloatArray], pairs: list[list[str]], suffix: str) -> FloatArray:
+def _matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> FloatArray:
     return np.stack([np.stack([columns[pair + suffix] for pair in row], -1) for row in pairs], 1)
 
 
-def _complex(columns: dict[str, FloatArray], pairs: list[list[str]], name: str) -> ComplexArray | None:
-    if f"{pairs[0][0]}:{name}_re" not in columns:
-        return None
-    return _matrix(columns, pairs, f":{name}_re") + 1j * _matrix(columns, pairs, f":{name}_im")
+def _complex_matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> ComplexArray:
+    return _joined(*(_matrix(columns, pairs, suffix + part) for part in PARTS))
 
 
-def _numbered_matrices(
-    columns: dict[str, FloatArray], pairs: list[list[str]], name: str, count: int
-) -> list[ComplexArray]:
+def _numbered_matrices(columns: Columns, pairs: list[list[str]], name: str, count: int) -> list[ComplexArray]:
     """The complex matrices (n_line, n_output, n_input) whose columns end in the *name* and a number."""
-    ends = [f":{name}:{number}" for number in range(count)]
-    return [_matrix(columns, pairs, f"{e}:re") + 1j * _matrix(columns, pairs, f"{e}:im") for e in ends]
+    return [_complex_matrix(columns, pairs, f":{name}:{number}:") for number in range(count)]
 
 
-def _covariance(columns: dict[str, FloatArray], n: int, elements: list[list[int]] | None) -> StoredCovariance:
+def _values(columns: Columns, name: str) -> ComplexArray:
+    return _joined(*(columns[f"{name}:{part}"] for part in PARTS))
+
+
+def _joined(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
+    values = np.empty(real.shape, np.complex128)
+    # A sum re + 1j im would lose the sign of a zero.
+    values.real, values.imag = real, imaginary
+    return values
+
+
+def _covariance(columns: Columns, n: int, elements: list[list[int]] | None) -> StoredCovariance:
     """The Hermitian covariance from its stored upper triangle, or from those of its blocks of *elements*."""
     if "cov:0:0:re" not in columns:
         return None
@@ -199,8 +210,7 @@ def _covariance(columns: dict[str, FloatArray], n: int, elements: list[list[int]
     blocks = np.empty((n_line, *members.shape, members.shape[1]), np.complex128)
     for number, block in enumerate(members):
         for j, k in _upper(block.size):
-            name = f"cov:{block[j]}:{block[k]}"
-            blocks[:, number, j, k] = columns[f"{name}:re"] + 1j * columns[f"{name}:im"]
+            blocks[:, number, j, k] = _values(columns, f"cov:{block[j]}:{block[k]}")
             blocks[:, number, k, j] = blocks[:, number, j, k].conj()
     return BlockCovariance(members, handed_over(blocks)) if elements else blocks[:, 0]
 
@@ -214,25 +224,25 @@ def write_spectra(path: Path, spectra: ChannelSpectra, header: Header) -> None:
     """Write the spectra: per run (numbered from 1) and channel real and imaginary part [SI], and the
     covariance of every run.
     """
-    columns: dict[str, FloatArray] = {"frequency_hz": spectra.frequency}
+    columns: Columns = {"frequency_hz": spectra.frequency}
     for run in range(len(spectra.runs)):
         for number, channel in enumerate(spectra.channels):
-            columns |= _parts(f"{run + 1}/{channel.name}", spectra.vectors[:, run, number])
+            columns |= _parts(f"{run + 1}/{channel.name}:", spectra.vectors[:, run, number])
         for p, q in _upper(len(spectra.channels)):
-            columns |= _parts(f"cov:{run + 1}:{p}:{q}", spectra.covariance[:, run, p, q])
+            columns |= _parts(f"cov:{run + 1}:{p}:{q}:", spectra.covariance[:, run, p, q])
     header = dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings)
     write_columns(path, columns, header)
 
 
-def _parts(name: str, values: ComplexArray) -> dict[str, FloatArray]:
-    return {f"{name}:re": values.real, f"{name}:im": values.imag}
+def _parts(name: str, values: ComplexArray) -> Columns:
+    return {f"{name}{part}": numbers for part, numbers in zip(PARTS, (values.real, values.imag), strict=True)}
 
 
 def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
     dof = spectra.covariance_dof
     return {
         "name": spectra.name,
-        "channels": [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in spectra.channels],
+        "channels": channel_entries(spectra.channels),
         "runs": list(spectra.runs),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
@@ -246,28 +256,22 @@ def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
 
 def read_spectra(path: Path) -> ChannelSpectra:
     """The spectra of a ``*.spectra.parquet`` file; DataError when the file is not one."""
-    header = read_header(path, "spectra")
+    header, columns = _read(path, "spectra")
     with as_written(path):
-        return _spectra_of(header, path)
+        return _spectra_of(header, columns)
 
 
-def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
-    contents = header.contents
-    table = read_table(path)
-    channels = tuple(
-        Channel(**{key: value for key, value in entry.items() if key != "unit"})
-        for entry in contents["channels"]
-    )
-    runs = tuple(contents["runs"])
-    frequency = numpy_array(table.column("frequency_hz"))
+def _spectra_of(header: Header, columns: Columns) -> ChannelSpectra:
+    contents, frequency = header.contents, columns["frequency_hz"]
+    channels, runs = channels_of(contents["channels"]), tuple(contents["runs"])
     n = len(channels)
     vectors = np.empty((frequency.size, len(runs), n), np.complex128)
     covariance = np.empty((frequency.size, len(runs), n, n), np.complex128)
     for run in range(len(runs)):
         for number, channel in enumerate(channels):
-            vectors[:, run, number] = _values(table, f"{run + 1}/{channel.name}")
+            vectors[:, run, number] = _values(columns, f"{run + 1}/{channel.name}")
         for p, q in _upper(n):
-            covariance[:, run, p, q] = _values(table, f"cov:{run + 1}:{p}:{q}")
+            covariance[:, run, p, q] = _values(columns, f"cov:{run + 1}:{p}:{q}")
             covariance[:, run, q, p] = covariance[:, run, p, q].conj()
     dof = contents["covariance_dof"]
     return ChannelSpectra(
@@ -288,15 +292,6 @@ def _spectra_of(header: Header, path: Path) -> ChannelSpectra:
         conditions=contents["conditions"],
     )
 
-
-def _values(table: pa.Table, name: str) -> ComplexArray:
-    values = np.empty(table.num_rows, np.complex128)
-    # A sum re + 1j im would lose the sign of a zero.
-    values.real, values.imag = (numpy_array(table.column(f"{name}:{part}")) for part in ("re", "im"))
-    return values
-
-
-# ``*.decay.parquet``: the free decays of one test, one below the other.
 
 DECAY_SUFFIX = ".decay.parquet"
 
@@ -324,20 +319,18 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
 
 def read_decays(path: Path) -> FreeDecays:
     """The decays of a ``*.decay.parquet`` file; DataError when the file is not one."""
-    header = read_header(path, "decay")
+    header, columns = _read(path, "decay")
     with as_written(path):
-        return _decay_of(header, path)
+        return _decay_of(header, columns)
 
 
-def _decay_of(header: Header, path: Path) -> FreeDecays:
+def _decay_of(header: Header, columns: Columns) -> FreeDecays:
     contents = header.contents
-    table = read_table(path)
     outputs = tuple(Port(**entry) for entry in contents["outputs"])
-    samples = np.column_stack([numpy_array(table.column(f"output:{port.label}")) for port in outputs])
-    numbers = numpy_array(table.column("decay"))
+    samples = np.column_stack([columns[f"output:{port.label}"] for port in outputs])
     named = zip(contents["recordings"], contents["starts"], strict=True)
     decays = tuple(
-        FreeDecay(recording, start, samples[numbers == number])
+        FreeDecay(recording, start, samples[columns["decay"] == number])
         for number, (recording, start) in enumerate(named)
     )
     return FreeDecays(

@@ -117,9 +117,8 @@ class Mirror:
         names = [name for name in here if wanted(name)]
         indices = [name for name in names if Path(name).name == NAME]
         self._get(indices, here)
-        unnamed = (
-            {part for index in indices for part in self._unnamed_parts(index, names)} if named_only else set()
-        )
+        read = indices if named_only else []
+        unnamed = {part for index in read for part in self._unnamed_parts(index, names)}
         self._get([name for name in names if name not in unnamed and name not in indices], here)
         return len(names)
 
@@ -143,7 +142,6 @@ class Mirror:
                 del self._same[name]
 
     def _files(self) -> Iterator[tuple[str, tuple[int, int]]]:
-        """The finished files, with what tells whether one is another."""
         for path in sorted(self.folder.rglob("*")):
             name = path.relative_to(self.folder)
             if path.is_file() and not any(part.startswith(STAGING) for part in name.parts):
@@ -162,16 +160,15 @@ class Mirror:
         except (ValueError, AttributeError, TypeError, KeyError):
             # Whoever reads the file says what is wrong with it.
             return
+        if not named:
+            return
         home = (Path(index).parent / FOLDER).as_posix() + "/"
-        if lacking := named.difference(names) if named else set():
+        if lacking := named.difference(names):
             raise DataError(
                 f"lacks the part '{min(lacking)}'", show(self.place), "it may be changing now; try again"
             )
-        yield from (
-            name
-            for name in names
-            if named and name.startswith(home) and name.endswith(SUFFIX) and name not in named
-        )
+        there = (name for name in names if name.startswith(home) and name.endswith(SUFFIX))
+        yield from (name for name in there if name not in named)
 
     def _get(self, names: Sequence[str], objects: dict[str, Found]) -> None:
         _at_once(lambda name: get(objects[name].path, self.folder / name), names)
@@ -197,7 +194,6 @@ class _Itself(Mirror):
 
 
 def _at_once(work: Callable[[str], None], names: Iterable[str]) -> None:
-    """Do the work for each name, several at a time; the first error."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         waiting = [pool.submit(work, name) for name in names]
         try:

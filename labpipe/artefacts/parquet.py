@@ -1,7 +1,4 @@
-"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole.
-
-Which of them are kept.
-"""
+"""Parquet files with our header among their metadata, checksums in their pages and a digest of the whole."""
 
 from __future__ import annotations
 
@@ -58,7 +55,6 @@ _FAULTS = (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError, T
 
 @contextmanager
 def _in_plain_words(path: Path) -> Iterator[None]:
-    """Faults of reading a Parquet file as a DataError with its path."""
     try:
         yield
     except DataError:
@@ -105,12 +101,7 @@ def as_written(path: Path) -> Iterator[None]:
         ) from None
 
 
-def read_table(path: Path) -> pa.Table:
-    """All columns; DataError in plain words for damaged pages."""
-    return read_columns(path, None)
-
-
-def read_columns(path: Path, columns: Sequence[str] | None) -> pa.Table:
+def read_columns(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """The columns of these names, or all; DataError in plain words for damaged pages."""
     with _in_plain_words(path):
         return open_parquet(path).read(columns=None if columns is None else list(columns))
@@ -141,10 +132,7 @@ def header_of(path: Path) -> Header:
 
 
 def read_header(path: Path, kind: str) -> Header:
-    """The header of a Parquet file whose content matches its digest, of any kind for "".
-
-    DataError without one, DamagedError where not.
-    """
+    """The header, of any kind for ""; DataError without one, DamagedError for content of another digest."""
     with _in_plain_words(path):
         digest = parquet_digest(path)
     metadata = open_parquet(path).metadata.metadata or {}
@@ -154,27 +142,20 @@ def read_header(path: Path, kind: str) -> Header:
     return header_from_json(metadata[HEADER_KEY], path, kind, digest)
 
 
-# Which artefacts of an earlier run are kept: made by the same work, and as labpipe wrote them.
-
-
 def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
-    """The path of an artefact that need not be made again.
-
-    A damaged one is named in the remarks and made again.
-    """
+    """The path of an artefact that need not be made again; a damaged one is named in the remarks."""
     path = output.read_path(name)
     if not path.exists():
         return None
     try:
         existing = read_header(path, header.kind)
+        if not existing.same_work(header):
+            return None
+        if not existing.digest:
+            # This code writes a digest: it was lost.
+            raise DamagedError("carries no digest")
     except DamagedError as error:
         output.remarks.append(made_again(error, path))
-        return None
-    if not existing.same_work(header):
-        return None
-    if not existing.digest:
-        # This code writes a digest: it was lost.
-        output.remarks.append(made_again(DamagedError("carries no digest"), path))
         return None
     return path
 

@@ -1,8 +1,6 @@
 """Addresses of files on this machine and in object storage, what lies there, and recordings brought here
 while they are worked on.
 
-Addresses of files: paths of this machine, and the URLs of an object storage, which are kept as paths.
-
 ``s3://bucket/runs/a.csv`` is ``Path("s3:/bucket/runs/a.csv")`` inside: names, endings and parents are those
 of any path, and `shown` gives the URL back. ``file:///data/a.csv`` is a path of this machine.
 
@@ -20,7 +18,7 @@ import datetime
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -35,48 +33,29 @@ from labpipe.errors import DataError, LabpipeError
 # A storage that does not answer is given up after ATTEMPTS times so many seconds, and pauses in between.
 CONNECT_SECONDS, REQUEST_SECONDS, ATTEMPTS = 5, 10, 3
 CHUNK = 8 << 20
+_ELSEWHERE = "and AWS_ENDPOINT_URL where the storage is not Amazon's"
 # Words of pyarrow's messages, what they mean, and what to do.
 _REASONS = (
+    (("NO_SUCH_BUCKET",), "there is no such bucket", f"check the name, {_ELSEWHERE}"),
+    (("NETWORK_CONNECTION", "curlCode"), "the storage does not answer", f"check the network, {_ELSEWHERE}"),
     (
-        "NO_SUCH_BUCKET",
-        "there is no such bucket",
-        "check the name, and AWS_ENDPOINT_URL where the storage is not Amazon's",
+        ("PermanentRedirect", "HTTP response code: 301"),
+        "the bucket is in another region",
+        "set AWS_DEFAULT_REGION",
     ),
     (
-        "NETWORK_CONNECTION",
-        "the storage does not answer",
-        "check the network, and AWS_ENDPOINT_URL where the storage is not Amazon's",
-    ),
-    (
-        "curlCode",
-        "the storage does not answer",
-        "check the network, and AWS_ENDPOINT_URL where the storage is not Amazon's",
-    ),
-    ("PermanentRedirect", "the bucket is in another region", "set AWS_DEFAULT_REGION"),
-    ("HTTP response code: 301", "the bucket is in another region", "set AWS_DEFAULT_REGION"),
-    (
-        "INVALID_ACCESS_KEY_ID",
+        ("INVALID_ACCESS_KEY_ID", "SIGNATURE_DOES_NOT_MATCH"),
         "the storage refuses the credentials",
         "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE",
     ),
     (
-        "SIGNATURE_DOES_NOT_MATCH",
-        "the storage refuses the credentials",
-        "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE",
-    ),
-    (
-        "ACCESS_DENIED",
+        ("ACCESS_DENIED", "UNKNOWN (HTTP status 403)"),
         "the storage refuses access",
         "check the credentials in the environment, and the rights on the bucket",
     ),
+    (("access token",), "the storage refuses access", "set GOOGLE_APPLICATION_CREDENTIALS"),
     (
-        "UNKNOWN (HTTP status 403)",
-        "the storage refuses access",
-        "check the credentials in the environment, and the rights on the bucket",
-    ),
-    ("access token", "the storage refuses access", "set GOOGLE_APPLICATION_CREDENTIALS"),
-    (
-        "credentials",
+        ("credentials",),
         "the storage refuses access",
         "set GOOGLE_APPLICATION_CREDENTIALS, or the variables of your storage",
     ),
@@ -130,13 +109,7 @@ def get(path: Path, target: Path) -> None:
         raise DataError("no such object", show(path), "it may have been removed since it was listed")
     target.parent.mkdir(parents=True, exist_ok=True)
     with _with_place(path):
-        copy_files(
-            _inside(path),
-            str(target),
-            source_filesystem=_system(path),
-            destination_filesystem=LocalFileSystem(),
-            chunk_size=CHUNK,
-        )
+        copy_files(_inside(path), str(target), _system(path), LocalFileSystem(), chunk_size=CHUNK)
     if status(path) != before or target.stat().st_size != before.size:
         raise DataError("changed while it was read", show(path), "run again when it is complete")
     os.utime(target, (before.changed, before.changed))
@@ -148,22 +121,13 @@ def put(source: Path, path: Path) -> None:
 
     # All of it in one call: a stream of Python's own that an interrupt closes would leave half an object.
     with _with_place(path):
-        copy_files(
-            str(source),
-            _inside(path),
-            source_filesystem=LocalFileSystem(),
-            destination_filesystem=_system(path),
-            chunk_size=CHUNK,
-        )
+        copy_files(str(source), _inside(path), LocalFileSystem(), _system(path), chunk_size=CHUNK)
 
 
 def remove(path: Path) -> None:
     """Remove an object, which may have gone already."""
-    with _with_place(path):
-        try:
-            _system(path).delete_file(_inside(path))
-        except FileNotFoundError:
-            return
+    with _with_place(path), suppress(FileNotFoundError):
+        _system(path).delete_file(_inside(path))
 
 
 def _is_plain(name: str) -> bool:
@@ -187,7 +151,6 @@ def _listing(path: Path, *, recursive: bool) -> Any:
 
 
 def _inside(path: Path) -> str:
-    """The path within the storage: bucket/name."""
     return "/".join(path.parts[1:])
 
 
@@ -198,7 +161,6 @@ def _system(path: Path) -> Any:
 
 @lru_cache(maxsize=8)
 def _open(scheme: str, bucket: str, s3_endpoint: str) -> Any:
-    """The file system of a storage; one for each scheme and bucket."""
     from pyarrow import fs
 
     if scheme == "s3:":
@@ -216,26 +178,19 @@ def _open(scheme: str, bucket: str, s3_endpoint: str) -> Any:
 
 @contextmanager
 def _with_place(path: Path) -> Iterator[None]:
-    """Faults of a storage as one message that names the place."""
     try:
         yield
     except (pa.ArrowException, OSError) as error:
-        if (
-            isinstance(error, OSError)
-            and error.errno is not None
-            and not isinstance(error, FileNotFoundError)
-        ):
+        if getattr(error, "errno", None) is not None and not isinstance(error, FileNotFoundError):
             # Of this machine: a full disk, say.
             raise
         text = str(error)
-        for word, what, hint in _REASONS:
-            if word in text:
+        for words, what, hint in _REASONS:
+            if any(word in text for word in words):
                 raise StorageError(what, show(path), hint) from None
         reason = (text.splitlines() or [type(error).__name__])[0]
         raise StorageError(f"cannot be reached ({reason[:200]})", show(path)) from None
 
-
-# Recordings of an object storage on this machine, as long as they are worked on.
 
 SPOOL = "labpipe-fetched-"
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
@@ -27,10 +27,7 @@ _END = object()
 
 
 def read_ahead(blocks: Iterable[Block]) -> Iterator[Block]:
-    """The same blocks in the same order, one of them read ahead in a thread.
-
-    Errors of reading are raised here.
-    """
+    """The same blocks in the same order, one of them read ahead in a thread, with the errors of reading."""
     iterator = iter(blocks)
     with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as reader:
         coming = reader.submit(next, iterator, _END)
@@ -103,9 +100,7 @@ class RecordingWriter:
         self._header = header
 
     def recording(self) -> StoredRecording:
-        """The recording of the closed file, whose content was digested a moment ago and is not digested
-        again.
-        """
+        """The recording of the closed file, without digesting it again."""
         assert self._header is not None
         digest, checksum = self._digests
         header = header_from_json(self._header.to_json(), self._path, "recording", digest)
@@ -121,10 +116,19 @@ def recording_contents(
     """The part of the header that describes the recording's columns; *levels*: mean and standard deviation of
     channels [SI].
     """
-    entries = [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
     # Of a channel that never is a number there is no level.
     finite = {name: pair for name, pair in (levels or {}).items() if math.isfinite(sum(pair))}
-    return {"name": name, "sample_rate": sample_rate, "channels": entries, "levels": finite}
+    return {"name": name, "sample_rate": sample_rate, "channels": channel_entries(channels), "levels": finite}
+
+
+def channel_entries(channels: Sequence[Channel]) -> list[dict[str, Any]]:
+    """Channels in a header, with the unit of their numbers."""
+    return [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
+
+
+def channels_of(entries: Sequence[Mapping[str, Any]]) -> tuple[Channel, ...]:
+    """The channels of their entries in a header."""
+    return tuple(Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in entries)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,9 +153,7 @@ class StoredRecording:
 
     @property
     def levels(self) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation [SI] of the channels whose levels were noted when the recording was
-        written.
-        """
+        """Mean and standard deviation [SI] of the channels where they were noted."""
         return {
             name: (float(mean), float(scatter))
             for name, (mean, scatter) in self.header.contents.get("levels", {}).items()
@@ -179,9 +181,7 @@ def open_recording(path: Path) -> StoredRecording:
 
 def _recording_of(path: Path, header: Header) -> StoredRecording:
     contents = header.contents
-    channels = tuple(
-        Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in contents["channels"]
-    )
+    channels = channels_of(contents["channels"])
     file = parquet.open_parquet(path)
     missing = {channel.name for channel in channels} - set(file.schema_arrow.names)
     if missing:

@@ -38,9 +38,7 @@ def without_staging(paths: Iterable[Path]) -> list[Path]:
 
 @dataclass(frozen=True)
 class OutputFolder:
-    """A folder being filled: new files go to *staging* and move to *target* together when everything is
-    done.
-    """
+    """A folder being filled: files move from *staging* to *target* together, at the end."""
 
     target: Path
     staging: Path
@@ -55,9 +53,7 @@ class OutputFolder:
         return path
 
     def outdate(self, name: str) -> None:
-        """*name* in the target folder belongs to what is being replaced: it goes when the new files come,
-        unless it comes anew.
-        """
+        """*name* in the target folder goes when the new files come, unless it comes anew."""
         self.outdated.add(name)
 
     def leave_same(self, name: str) -> None:
@@ -101,10 +97,7 @@ def output_folder(
 
 @contextmanager
 def staging_folder(home: Path) -> Iterator[Path]:
-    """A hidden folder in *home* for what is being made, removed at the end in every case.
-
-    Those that killed runs left go as well.
-    """
+    """A hidden folder in *home*, removed at the end in every case, as are those of killed runs."""
     _remove_abandoned(home)
     staging = home / f"{STAGING}{socket.gethostname()}-{os.getpid()}-{token_hex(8)}"
     # An interruption as soon as the folder is there finds it removed as well.
@@ -134,23 +127,19 @@ def _remove_abandoned(home: Path) -> None:
 
 
 def _runs(name: str) -> bool:
-    """Whether the process whose number stands in the name of a staging folder runs, as far as can be told."""
     number = name.split("-")[-2]
     try:
         os.kill(int(number), 0)
     except ProcessLookupError:
         return False
     except (ValueError, OverflowError, OSError):
-        return True
+        pass
     return True
 
 
 @contextmanager
 def only_one(path: Path) -> Iterator[None]:
-    """Hold a lock file; DataError where another process holds it.
-
-    It goes with the process, however that ends.
-    """
+    """Hold a lock file, as long as the process lives; DataError where another process holds it."""
     with path.open("w") as lock:
         if fcntl is not None and not _take_lock(lock):
             raise DataError("another process works on this folder", path.parent)
@@ -158,10 +147,7 @@ def only_one(path: Path) -> Iterator[None]:
 
 
 def _take_lock(lock: IO[str]) -> bool:
-    """Take the lock of a staging folder, which goes with the process that holds it.
-
-    False where another one does.
-    """
+    """Take a lock, which goes with the process that holds it; False where another one does."""
     if fcntl is None:
         return False
     try:
@@ -193,7 +179,6 @@ def _move_all(staging: Path, target: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Have the disk hold a file or the names of a folder."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -207,10 +192,7 @@ def _sync(path: Path) -> None:
 
 @contextmanager
 def output_file(path: Path) -> Iterator[Path]:
-    """A path to write to that becomes *path* if the block succeeds.
-
-    A device such as /dev/stdout is written as it is.
-    """
+    """A path that becomes *path* if the block succeeds; a device such as /dev/stdout is written as it is."""
     if path.is_dir():
         raise DataError("is a folder, a file name is needed", path)
     if path.exists() and not path.is_file():
@@ -228,10 +210,7 @@ FILE = "file://"
 
 
 def path_of(text: str) -> Path:
-    """The path of an address.
-
-    ConfigError for a URL without a bucket, or one that names a place twice over.
-    """
+    """The path of an address; ConfigError for a URL that names no object, or not clearly."""
     if text.startswith(FILE):
         return Path(unquote(urlsplit(text).path))
     path = Path(text)

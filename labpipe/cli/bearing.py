@@ -39,9 +39,7 @@ PERCENTAGES = ("mesh_error",)
 
 
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
-    """The matrices, their uncertainties, the equilibrium, the range over one ball passage, and the
-    warnings.
-    """
+    """Matrices, uncertainties, equilibrium, range over one ball passage, and warnings."""
     coefficients = whole.coefficients
     echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
@@ -93,7 +91,6 @@ def _echo_matrix(
 
 
 def _echo_uncertainties(coefficients: BearingCoefficients, uncertainties: BearingUncertainties) -> None:
-    """Every coefficient with its standard uncertainty and the sources of it, the largest first."""
     echo("with standard uncertainties, and the shares of their sources:")
     for kind, symbol in (("stiffness", "k"), ("damping", "c")):
         matrix, changes = getattr(coefficients, kind), getattr(uncertainties, kind)
@@ -117,7 +114,6 @@ def _rounding(amounts: Sequence[Amount]) -> float:
 
 
 def _amount(amount: Amount, least: float) -> str:
-    """Name, value and unit; zero below *least* [SI]."""
     name, value = amount.name.removeprefix("load_"), amount.value if abs(amount.value) > least else 0.0
     if amount.name in PERCENTAGES:
         return f"{name} {significant(100 * value, 2)} %"
@@ -125,7 +121,6 @@ def _amount(amount: Amount, least: float) -> str:
 
 
 def _echo_passage(coefficients: BearingCoefficients) -> None:
-    """The variation of the direct coefficients while the cage turns by one element."""
     if coefficients.lowest is None or coefficients.highest is None:
         return
     low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)
@@ -158,9 +153,6 @@ def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) ->
         affected = [case for case in cases if any(finding.code == code for finding in case.findings)]
         message = next(finding.message for finding in affected[0].findings if finding.code == code)
         echo(f"warning {code} (in {len(affected)} of {len(cases)} values; the first:) {message}")
-
-
-# labpipe bearing BEARING [--json FILE] [--sweep KEY=START:STOP:STEP] [-o DIR]
 
 
 @click.command()
@@ -199,16 +191,16 @@ def bearing(
     name = file.settings().name or bearing_path.stem
     whole = evaluate(file)
     text = bearing_json(bearing_entry(file, name, whole))
-    if str(json_path) == "-":
-        echo(text, nl=False)
-        return
-    if json_path is not None:
+    to_terminal = str(json_path) == "-"
+    if json_path is not None and not to_terminal:
         with output_file(json_path) as target:
             target.write_text(text, encoding="utf-8")
     if output is not None:
         with output_folder(output) as folder:
             names = write_bearing(file, name, whole, folder)
-    if not quiet:
+    if to_terminal:
+        echo(text, nl=False)
+    elif not quiet:
         echo_bearing(name, file.kind_name, whole)
         if output is not None:
             echo(f"written to {output}: {', '.join(names)}")

@@ -38,8 +38,6 @@ from labpipe.project.signing import DETACHED, ROLES, Key, Trust, drawn_from_anot
 from labpipe.project.signing import sign as signed
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
 
-# labpipe archive RESULTS -o FILE
-
 
 @click.command()
 @click.argument("results", type=options.PATH)
@@ -96,7 +94,6 @@ def archive(
 
 
 def _pipeline_of(folder: Path) -> Path:
-    """The pipeline that made a result, where a file of its name is near; ConfigError elsewhere."""
     name = read_identification(folder / NAME).pipeline
     home = pipeline_folder(folder)
     if home is None:
@@ -106,16 +103,12 @@ def _pipeline_of(folder: Path) -> Path:
 
 
 def _day(text: str | None) -> str:
-    """The day as ISO 8601 has it, empty for none; ConfigError for another text."""
     if text is None:
         return ""
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
         raise ConfigError(f"--date: '{text}' is no day", hint="write it as 2026-11-03") from None
-
-
-# labpipe runs FOLDER
 
 
 @click.command()
@@ -148,9 +141,6 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
         for reference in line.inputs if inputs else ():
             echo(message_line(f"    {reference['sha256']} {reference['path']}"))
     echo(f"last line: {head(record)}")
-
-
-# labpipe verify FOLDER, or an archive
 
 
 @click.command()
@@ -200,26 +190,26 @@ def verify(
     labpipe verify evidence.zip --trust laboratory-ca.pem --signed approved
     labpipe verify out/report.signed.pdf --trust laboratory-ca.pem
     """
-    unsigned = 0 if is_remote(folder) else _verify_signatures(folder, Trust(trust, crl), signed, quiet)
-    if folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir():
-        return 1 if unsigned else 0
-    if is_archive(folder) and is_remote(folder):
-        what = "is an archive elsewhere, and is read from this machine only"
+    is_file = folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir()
+    if is_remote(folder) and (is_file or is_archive(folder) or signed):
+        what = "is elsewhere; archives and signatures are verified here only"
         raise DataError(what, show(folder), "copy it here")
+    unsigned = 0 if is_remote(folder) else _verify_signatures(folder, Trust(trust, crl), signed, quiet)
+    if is_file:
+        return 1 if unsigned else 0
+    how = Manners(again, jobs, overrides, quiet, verbose)
     if is_archive(folder):
-        code = _verify_archive(folder, pipeline_path, Manners(again, jobs, overrides, quiet, verbose))
+        code = _verify_archive(folder, pipeline_path, how)
         return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with results_read(folder, everything) as here:
-        how = Manners(again, jobs, overrides, quiet, verbose)
         code = _verify_folder(here, show(folder), pipeline_path, how)
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
 
 
 def _verify_record(folder: Path, quiet: bool) -> int:
-    """Say whether the record of runs of a folder holds; how many faults it has."""
     record = record_of_runs(folder)
     if record is None:
         return 0
@@ -233,7 +223,6 @@ def _verify_record(folder: Path, quiet: bool) -> int:
 
 
 def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet: bool) -> int:
-    """Say of every signature of a file or folder whether it holds; how many do not, or are missing."""
     if path.suffix.lower() in (".pdf", DETACHED) and not path.is_file():
         raise DataError("no such file", path, "name a file that `labpipe sign` wrote")
     faults: list[str] = []
@@ -257,9 +246,7 @@ def _verify_signatures(path: Path, trust: Trust, needed: tuple[str, ...], quiet:
 
 @dataclass(frozen=True)
 class Manners:
-    """The options of the command. base: the folder of the raw files, by default that of the pipeline that is
-    named.
-    """
+    """The options of the command."""
 
     again: bool
     jobs: int
@@ -269,7 +256,6 @@ class Manners:
 
 
 def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
-    """Verify a folder of results, which messages call by its *name*; the exit code."""
     artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
     for artefact in artefacts:
         _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)
@@ -291,9 +277,6 @@ def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manne
 
 
 def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int:
-    """Verify an archive: its files, the artefacts among them, and that its pipeline gives the same bytes
-    again; the exit code.
-    """
     with tempfile.TemporaryDirectory(prefix="labpipe-archive-", ignore_cleanup_errors=True) as scratch:
         archive = unpack(path, Path(scratch))
         for name, fault in archive.faults:
@@ -319,7 +302,6 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
 
 
 def _hindrance(archive: Unpacked) -> str:
-    """Why the pipeline of an archive is not run again unless that is asked for; empty where it is."""
     if archive.left_out:
         return f"of {archive.left_out} files the archive holds the digests only"
     made = read_identification(archive.results / NAME)
@@ -328,7 +310,6 @@ def _hindrance(archive: Unpacked) -> str:
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
-    """What differs when the pipeline is run again, aside."""
     with tempfile.TemporaryDirectory() as scratch:
         with output_folder(Path(scratch) / "out") as output:
             run(pipeline, output, manner(True, False, jobs, None))

@@ -15,14 +15,11 @@ from pathlib import Path
 
 import click
 
-from labpipe import __version__
-from labpipe.artefacts.header import commit
+from labpipe.artefacts.header import version_text
 from labpipe.artefacts.writing import output_file
 from labpipe.cli import options
 from labpipe.cli.output import echo
 from labpipe.project.schema import SCHEMAS
-
-# labpipe doctor
 
 # Packages of one feature each, by the distribution's name: the module, and the feature with its installation.
 OPTIONAL = {
@@ -30,6 +27,9 @@ OPTIONAL = {
     "asammdf": ("asammdf", "recordings in .mf4: pip install 'labpipe[mdf]'"),
     "distributed": ("distributed", "labpipe run --cluster: pip install 'labpipe[cluster]'"),
     "pyHanko": ("pyhanko", "signatures: pip install 'labpipe[sign]'"),
+    "rich": ("rich", "the display of labpipe live: pip install 'labpipe[live]'"),
+    "cryptography": ("cryptography", "signatures: pip install 'labpipe[sign]'"),
+    "python-pkcs11": ("pkcs11", "signatures by tokens and cards: pip install 'labpipe[sign]'"),
     "scikit-learn": ("sklearn", "metamodels of journal coefficients: pip install 'labpipe[metamodels]'"),
 }
 MODULES = {"PyYAML": "yaml", "fpdf2": "fpdf", "npTDMS": "nptdms"}
@@ -68,7 +68,7 @@ def _machine() -> list[Check]:
     encoding = sys.stdout.encoding or "unknown"
     unable = "" if "utf" in encoding.lower() else "set PYTHONIOENCODING=utf-8 for units such as µm"
     return [
-        Check("labpipe", f"{__version__} (commit {commit()})" if commit() else __version__),
+        Check("labpipe", version_text()),
         Check("Python", f"{platform.python_version()} ({platform.system()} {platform.machine()})"),
         Check("processors", str(os.cpu_count())),
         Check("threads of linear algebra", threads),
@@ -77,7 +77,6 @@ def _machine() -> list[Check]:
 
 
 def _packages() -> list[Check]:
-    """Every package in labpipe's metadata, imported, so that a broken installation shows."""
     try:
         requirements = importlib.metadata.requires("labpipe") or []
     except importlib.metadata.PackageNotFoundError:
@@ -91,7 +90,8 @@ def _packages() -> list[Check]:
 def _package(name: str, module: str, hint: str, needed: bool) -> Check:
     try:
         importlib.import_module(module)
-    except ImportError as error:
+    except Exception as error:
+        # A package built for another numpy, say, fails in its own way.
         return Check(name, "not installed", hint or f"pip install {name} ({error})", needed)
     return Check(name, importlib.metadata.version(name))
 
@@ -103,9 +103,6 @@ def _temporary_folder() -> Check:
     except OSError as error:
         return Check("temporary folder", tempfile.gettempdir(), os.strerror(error.errno or 0).lower())
     return Check("temporary folder", tempfile.gettempdir())
-
-
-# labpipe schema [pipeline|rig|bearing|plan]
 
 
 @click.command()

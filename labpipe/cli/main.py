@@ -87,10 +87,9 @@ class LazyGroup(click.Group):
 
 def _print_version(context: click.Context, _option: click.Parameter, asked: bool) -> None:
     if asked:
-        from labpipe.artefacts.header import commit
+        from labpipe.artefacts.header import version_text
 
-        commit_hash = commit()
-        echo(f"labpipe, version {__version__}" + (f" (commit {commit_hash})" if commit_hash else ""))
+        echo(f"labpipe, version {version_text()}")
         context.exit()
 
 
@@ -171,10 +170,6 @@ def _run(arguments: list[str]) -> int:
 
 
 def _own_fault(error: Exception) -> int:
-    """Say that labpipe itself is at fault.
-
-    The traceback goes to a file that is named, or to the terminal where that is asked for.
-    """
     from tempfile import NamedTemporaryFile
     from traceback import format_exception
 
@@ -220,7 +215,6 @@ def _fail(*messages: str) -> int:
 if __name__ == "__main__":
     main()
 
-# labpipe completion SHELL
 
 SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/labpipe.fish"}
 

@@ -23,9 +23,7 @@ QUIET_SECONDS = 1.0
 
 
 class Progress:
-    """Shows after each test the number finished and the remaining time: one changing line on a terminal, one
-    line each with -v.
-    """
+    """Tests finished and time left: one changing line on a terminal, one line each with -v."""
 
     def __init__(self, verbose: bool) -> None:
         self._begin = time.monotonic()
@@ -51,11 +49,10 @@ def silent(_finished: int, _total: int, _name: str) -> None:
 
 def duration(seconds: float) -> str:
     """A duration as text: 45 s, 3 min 20 s, 2 h 5 min."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    minutes, rest = divmod(whole, 60)
-    return f"{minutes} min {rest} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:

@@ -17,11 +17,6 @@ from labpipe.cli.output import echo
 
 
 class _Address(click.Path):
-    """A path, or file://....
-
-    Where results and recordings may lie *elsewhere* also the URL of an object storage, as a path.
-    """
-
     def __init__(self, *, elsewhere: bool) -> None:
         super().__init__(path_type=Path)
         self.elsewhere = elsewhere

@@ -53,10 +53,7 @@ def message_line(text: str) -> str:
 
 
 def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
-    """Print a text.
-
-    Of control characters only the ends of lines, tabulators and labpipe's own colours reach the terminal.
-    """
+    """Print a text; of control characters only ends of lines, tabulators and labpipe's own colours."""
     parts = enumerate(_OWN.split(str(text)))
     shown = "".join(part if number % 2 else printable(part, KEPT) for number, part in parts)
     click.echo(shown, err=err, nl=nl)
@@ -74,26 +71,18 @@ def echo_findings(findings: Iterable[Finding]) -> None:
         echo(f"  {finding.level} {finding.code}: {finding.message}")
 
 
-# Tables on the terminal: columns of minimum width, empty ones omitted.
-
-
 def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> None:
     """The rows below their header; the columns in *right* are numbers."""
     rows = [[for_terminal(printable(cell)) for cell in row] for row in rows]
     columns = [number for number in range(len(header)) if any(row[number] for row in rows)]
-    widths = {number: max(len(header[number]), *(len(row[number]) for row in rows)) for number in columns}
+    widths = {number: max(len(row[number]) for row in (header, *rows)) for number in columns}
     for row in (header, *rows):
-        cells = (
-            row[number].rjust(widths[number]) if number in right else row[number].ljust(widths[number])
-            for number in columns
-        )
+        cells = (f"{row[n]:{'>' if n in right else '<'}{widths[n]}}" for n in columns)
         echo("  ".join(cells).rstrip())
 
 
 def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
-    """A value, its standard error and its unit, in the unit *shown* of a whole column or else in the one that
-    suits them.
-    """
+    """A value, its standard error and its unit: *shown*, or else the one that suits them."""
     shown = shown or shown_unit(unit, value, std_error)
     error = None if std_error is None else difference_in(std_error, shown)
     number, uncertainty = written(to_display(value, shown), error)

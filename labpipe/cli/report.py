@@ -19,8 +19,6 @@ from labpipe.project.exports import WRITERS
 from labpipe.project.measured import files_of_test
 from labpipe.project.report import write_campaign, write_report, write_test_report
 
-# labpipe report DIR|identification.json... -o FILE [--figures DIR]
-
 
 @click.command()
 @click.argument("results", metavar="DIR|identification.json...", type=options.PLACE, nargs=-1, required=True)
@@ -104,7 +102,6 @@ def result_files(results: Sequence[Path]) -> list[Path]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """The shortest unique ends of the folders' paths."""
     folders = [
         path.resolve().parent if path.name == NAME else path.resolve().with_suffix("") for path in paths
     ]
@@ -113,9 +110,6 @@ def _names(paths: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(names):
             return names
     return [f"{names[n]} ({n + 1})" for n in range(len(names))]
-
-
-# labpipe export ARTEFACT --to FORMAT -o FILE
 
 
 @click.command()

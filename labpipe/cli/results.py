@@ -15,14 +15,13 @@ from labpipe.artefacts.writing import write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
-from labpipe.errors import DataError, cut
+from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project import catalogue_search
 from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, of_fit
-
-# labpipe list [FOLDER]
+from labpipe.registry import nearest
 
 
 @click.command(name="list")
@@ -68,10 +67,10 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
 def echo_results(rows: Sequence[ResultRow]) -> None:
     """One line for each result."""
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
-    lines = []
-    for row in rows:
-        remark = row.fault or row.warnings
-        lines.append((row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, remark))
+    lines = [
+        (row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, row.fault or row.warnings)
+        for row in rows
+    ]
     echo_table(header, lines, right=(3,))
 
 
@@ -90,14 +89,11 @@ def echo_values(rows: Sequence[ValueRow]) -> None:
 
 
 def _units(rows: Sequence[ValueRow]) -> dict[tuple[str, str], str]:
-    """One unit for all values of a parameter."""
     sizes: dict[tuple[str, str], list[float]] = {}
     for row in rows:
         sizes.setdefault((row.parameter, row.unit), []).append(row.value)
     return {key: readable_unit(key[1], values) for key, values in sizes.items()}
 
-
-# labpipe trend [FOLDER] -p PARAMETER --over CONDITION
 
 LEVEL = 0.05
 
@@ -163,12 +159,10 @@ def _echo_series(series: catalogue_search.Series) -> None:
 
 
 def _unit(series: catalogue_search.Series) -> str:
-    """The unit of all values."""
     return readable_unit(series.unit, (row.value for row in series.rows))
 
 
 def _slope(series: catalogue_search.Series) -> str:
-    """The slope in words, in display units."""
     line = series.line
     if line is None:
         return (
@@ -196,9 +190,6 @@ def _control(series: catalogue_search.Series) -> str:
     return f"control limits {ends}: beyond {beyond}"
 
 
-# labpipe compare A B
-
-
 @click.command()
 @click.argument("first", type=options.PLACE)
 @click.argument("second", type=options.PLACE)
@@ -216,6 +207,11 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     errors alone, corrected for the number of parameters (Holm).
     """
     pairs = catalogue_search.differences(_parameters(first), _parameters(second))
+    known = dict.fromkeys(pair.parameter for pair in pairs)
+    if unknown := [name for name in parameter if name not in known]:
+        raise ConfigError(
+            f"--parameter: '{unknown[0]}' is not in both results", hint=nearest(unknown[0], known)
+        )
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:
         write_rows(table, [dataclasses.asdict(pair) for pair in selected])
@@ -229,7 +225,6 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
 
 
 def _parameters(path: Path) -> list[ListedParameter]:
-    """The parameters of all fits of a result, or of the dataset that it sums up."""
     with results_read(path) as here:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)
@@ -239,10 +234,6 @@ def _parameters(path: Path) -> list[ListedParameter]:
 
 
 def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:
-    """A row in one unit, all numbers to the place that the error of the difference supports.
-
-    Differences have no offset (degC).
-    """
     unit = shown_unit(pair.unit, pair.first, pair.second)
     error = None if pair.std_error is None else difference_in(pair.std_error, unit)
     change = difference_in(pair.second - pair.first, unit)

@@ -29,8 +29,6 @@ from labpipe.project.watch import Watch, WatchSettings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.identification import RuleOutcome
 
-# labpipe run PIPELINE -o DIR
-
 
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
@@ -83,9 +81,6 @@ def run(
         echo(f"written: {show(output)}/identification.json{reports}")
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
-
-
-# labpipe check PIPELINE...
 
 
 @click.command()
@@ -148,9 +143,7 @@ def _check(
 def outcomes_of(
     path: Path, output: Path | None, overrides: tuple[str, ...], quiet: bool, verbose: bool
 ) -> tuple[RuleOutcome, ...]:
-    """The outcomes of a pipeline's rules, its results kept in a folder of *output* where that is given;
-    DataError when one of its tests fails.
-    """
+    """The outcomes of a pipeline's rules, its results kept in *output*; DataError when a test fails."""
     pipeline = load_pipeline(path, overrides)
     how = Manner(options.teller(quiet, verbose))
     with tempfile.TemporaryDirectory() as scratch:
@@ -160,9 +153,6 @@ def outcomes_of(
     for failure in identification.failed:
         raise DataError(failure.message)
     return identification.outcomes
-
-
-# labpipe tests PIPELINE
 
 
 @click.command()
@@ -176,13 +166,10 @@ def tests(pipeline_path: Path, overrides: tuple[str, ...]) -> None:
         echo(test.name)
 
 
-# labpipe watch FOLDER -c PIPELINE -o RESULTS
-
 LOCK = ".labpipe-watch.lock"
 
 
 def _seconds(text: str) -> float:
-    """A time such as 5 s or 10 min, in seconds."""
     try:
         seconds = parse_value(text, "s")
     except UnitError as error:

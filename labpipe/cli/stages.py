@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
 
 from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.many import Progress, echo_failed, manner, silent
@@ -34,8 +36,6 @@ from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
-# labpipe ingest SOURCE... -r RIG -o DIR
-
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, metavar="SOURCE...", type=options.PATH)
@@ -60,9 +60,6 @@ def ingest(
             n, rate = recording.n_sample, recording.sample_rate
             echo(f"{recording.name}: {n} samples, {rate:g} Hz, {n / rate:g} s")
         echo_findings(recording.findings)
-
-
-# labpipe frf -c PIPELINE -o DIR [RECORDING...]
 
 
 @click.command()
@@ -131,9 +128,6 @@ def _line(measured: MeasuredTest) -> str:
     return f"{measured.name or 'frf'}: {size}, {lines}"
 
 
-# labpipe identify -c PIPELINE -o DIR [FRF...]
-
-
 @click.command()
 @click.argument("frfs", nargs=-1, metavar="[FRF...]", type=options.PATH)
 @options.pipeline_file
@@ -157,16 +151,19 @@ def identify(
     with options.results_folder(output) as folder:
         how = Manner(progress=silent if quiet else Progress(verbose))
         many = None if frfs else identify_many(pipeline, folder, how)
-        identification = many if many is not None else _identify(pipeline, frfs, folder)
+        identification = many or _identify(pipeline, frfs, folder)
+        outdate_reports(folder, ())
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
 
 
 def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
-    """The result of all tests at once."""
     if frfs:
         tests = [load_measured(path) for path in frfs]
+        if len({test.name for test in tests}) < len(tests):
+            hint = "list them as `frfs:` of tests with names in the pipeline"
+            raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
         inputs = [source_ref(path, path.parent) for path in frfs]
     else:
         tests, inputs = _of_pipeline(pipeline, folder)
@@ -176,27 +173,26 @@ def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) 
 
 
 def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[MeasuredTest], list[SourceRef]]:
-    """What the folder holds of the pipeline's tests, or frfs: names, with name and conditions of the test.
-
-    What they depend on.
-    """
     tests: list[MeasuredTest] = []
     references: list[SourceRef] = []
     for test in pipeline.tests:
         for ready in test.frfs:
             tests.append(load_ready_measured(ready, test.name, test.conditions))
             references.extend(ready_refs(ready))
-        measured_path = folder.read_path(measured_file_name(test.name, test.frf or pipeline.frf))
+        settings = test.frf or pipeline.frf
+        measured_path = folder.read_path(measured_file_name(test.name, settings))
         if test.recordings and not measured_path.exists():
             hint = "run `labpipe frf` first, or `labpipe run` for all stages"
             raise DataError("no such file", measured_path, hint)
         if test.recordings:
+            made = header_of(measured_path).parameters.get("frf", {})
+            now = json.loads(json.dumps(asdict(settings))) if settings else {}
+            if other := [key for key, value in now.items() if made.get(key, value) != value]:
+                what = f"was made with another {', '.join(other)} of `frf:` than the pipeline has"
+                raise DataError(what, measured_path, "run `labpipe frf` again")
             tests.append(load_measured(measured_path))
             references.append(source_ref(measured_path, measured_path.parent))
     return tests, references
-
-
-# labpipe calibrate -c FILE [-o DIR]
 
 
 @click.command()
@@ -222,11 +218,10 @@ def calibrate(
     sources = [source_ref(calibration.path, pipeline.folder) for calibration in calibrations]
     with output_folder(output) as folder:
         identification = identify_stage(lines, (), sources, folder)
+        outdate_reports(folder, ())
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
 
-
-# labpipe study PIPELINE -o DIR
 
 STUDY = "study"
 

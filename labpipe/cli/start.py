@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 from math import log2
 from pathlib import Path
@@ -12,7 +13,9 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
+from click.core import ParameterSource
 
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_findings
@@ -38,10 +41,7 @@ _VIRTUAL = re.compile(r"\.\./configs/([\w.-]+)\.yaml")
 
 
 def shipped() -> Path:
-    """Where pipelines, configs and sample data are: in the checkout, or beside the installed package.
-
-    ConfigError when nowhere.
-    """
+    """Where pipelines and sample data are: in the checkout, or beside the package; ConfigError if nowhere."""
     for root in (Path(__file__).parents[2], Path(sys.prefix) / "share/labpipe"):
         if (root / "pipelines").is_dir() and (root / "sample_data").is_dir():
             return root
@@ -50,9 +50,7 @@ def shipped() -> Path:
 
 
 def examples() -> dict[str, list[Path]]:
-    """The pipelines of every rig by the rig's name: that of its recordings, or of what describes it where it
-    has none.
-    """
+    """The pipelines of every rig by the rig's name."""
     by_rig: dict[str, list[Path]] = {}
     for path in sorted((shipped() / "pipelines").glob("*.yaml")):
         by_rig.setdefault(_rig_of(path), []).append(path)
@@ -66,11 +64,7 @@ def _rig_of(path: Path) -> str:
 
 
 def copy_example(name: str, output: OutputFolder) -> list[str]:
-    """Copy an example's pipelines with all they name, in the folders that they are in; the names of the
-    pipelines.
-
-    ConfigError when there is none of that name.
-    """
+    """Copy an example's pipelines with all they name; the names of the pipelines. ConfigError for none."""
     pipelines = examples()
     if name not in pipelines:
         raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
@@ -84,8 +78,6 @@ def copy_example(name: str, output: OutputFolder) -> list[str]:
         output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())
     return [pipeline.name for pipeline in pipelines[name]]
 
-
-# labpipe init DIR [RECORDING...]
 
 SCAFFOLD = ("rig.yaml", "pipeline.yaml")
 SCAFFOLD_RIG = "virtual-magnetic-rig"
@@ -119,20 +111,21 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
         raise ConfigError(f"already holds {', '.join(existing)}", folder, "name a new folder")
     with output_folder(folder) as output:
         if example is not None:
-            _example(example, folder, output)
+            pipeline = _example(example, folder, output)
         elif recordings:
-            _from_recordings(recordings, folder, output)
+            pipeline = _from_recordings(recordings, folder, output)
         else:
-            _sample(folder, output)
+            pipeline = _sample(folder, output)
+        echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")
 
 
-def _example(name: str, folder: Path, output: OutputFolder) -> None:
+def _example(name: str, folder: Path, output: OutputFolder) -> Path:
     pipelines = copy_example(name, output)
     echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
-    _next(folder / "pipelines" / pipelines[0], folder)
+    return folder / "pipelines" / pipelines[0]
 
 
-def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> None:
+def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> Path:
     project = scaffold(recordings, folder)
     texts = dict(zip(SCAFFOLD, (project.rig, project.pipeline), strict=True))
     names = [name for name, text in texts.items() if text]
@@ -141,22 +134,15 @@ def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputF
     echo(f"written to {folder}: {', '.join(names)}")
     if project.decisions:
         echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
-    _next(folder / "pipeline.yaml", folder)
+    return folder / "pipeline.yaml"
 
 
-def _sample(folder: Path, output: OutputFolder) -> None:
+def _sample(folder: Path, output: OutputFolder) -> Path:
     for name in SCAFFOLD:
         output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
     simulate_files(VIRTUAL_RIGS.load(SCAFFOLD_RIG).settings(SCAFFOLD_RIG), 1, ["pedestal"], output)
     echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
-    _next(folder / "pipeline.yaml", folder)
-
-
-def _next(pipeline: Path, folder: Path) -> None:
-    echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")
-
-
-# labpipe inspect FILE [-o CARD]
+    return folder / "pipeline.yaml"
 
 
 @click.command()
@@ -189,10 +175,12 @@ def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
         echo(f"written: {output}", err=True)
 
 
+def _lines(frequency: FloatArray) -> str:
+    return f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
+
+
 def _echo_response(response: FrequencyResponse, file: str) -> None:
-    frequency = response.frequency
-    lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
-    echo(f"{file}: {response.form} [{FORMS[response.form]}], {lines}")
+    echo(f"{file}: {response.form} [{FORMS[response.form]}], {_lines(response.frequency)}")
     forces = "bases" if response.form == "transmissibility" else "forces"
     for title, ports in (("responses", response.outputs), (forces, response.inputs)):
         echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
@@ -201,21 +189,19 @@ def _echo_response(response: FrequencyResponse, file: str) -> None:
 
 
 def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
-    frequency = spectra.frequency
-    lines = f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
-    echo(f"{file}: spectra of all channels, {lines}, runs {', '.join(spectra.runs)}")
-    width = max(len(channel.name) for channel in spectra.channels)
-    echo(f"  {'channel':<{max(width, 7)}}  {'rms of a line':>14}{'noise':>12}  unit")
+    runs = ", ".join(spectra.runs)
+    echo(f"{file}: spectra of all channels, {_lines(spectra.frequency)}, runs {runs}")
+    width = max(len("channel"), *(len(channel.name) for channel in spectra.channels))
+    echo(f"  {'channel':<{width}}  {'rms of a line':>14}{'noise':>12}  unit")
     for number, channel in enumerate(spectra.channels):
         size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
         noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
         about = f"{channel.unit}, {channel.role} {channel.dof}"
-        echo(f"  {channel.name:<{max(width, 7)}}  {size:>14.4g}{noise:>12.3g}  {about}")
+        echo(f"  {channel.name:<{width}}  {size:>14.4g}{noise:>12.3g}  {about}")
     echo_findings(spectra.findings)
 
 
 def _echo_shapes(shapes: FileShapes, file: str) -> None:
-    """One line for each mode, with the other shape that is most alike."""
     n_mode = shapes.frequency.size
     more = f"; {shapes.others} further record(s) of another kind or other nodes" if shapes.others else ""
     echo(f"{file}: {n_mode} mode shape(s) at {len(shapes.points)} points and directions{more}")
@@ -251,32 +237,21 @@ def _echo_recording(overview: Overview) -> None:
         echo(f"  warning rig: {contradiction}")
 
 
-# labpipe excite -o FILE ...
-
 Value = TypeVar("Value")
+OF_MULTISINES, OF_SWEEPS = ("spacing", "phases", "odd", "leave_out", "seed"), ("direction", "length", "pause")
+
+
+_shown = partial(click.option, show_default=True)
 
 
 @click.command()
 @options.path("-o", "--output", required=True, help="Signal file: .csv, .parquet or .wav.")
-@click.option("--band", default="1-100 Hz", show_default=True, help="Excited band.")
-@click.option(
-    "--spacing",
-    default="0.5 Hz",
-    show_default=True,
-    help="Spacing of the lines; one period lasts 1 / spacing.",
-)
-@click.option("--rate", default="20 kHz", show_default=True, help="Sampling rate.")
-@click.option(
-    "--periods", type=click.IntRange(min=1), default=6, show_default=True, help="Periods or sweeps written."
-)
-@click.option("--level", default="1 V", show_default=True, help="Root mean square of the signal.")
-@click.option(
-    "--phases",
-    type=click.Choice(list(PHASES)),
-    default="schroeder",
-    show_default=True,
-    help="Method for the phases.",
-)
+@_shown("--band", default="1-100 Hz", help="Excited band.")
+@_shown("--spacing", default="0.5 Hz", help="Spacing of the lines; one period lasts 1 / spacing.")
+@_shown("--rate", default="20 kHz", help="Sampling rate.")
+@_shown("--periods", type=click.IntRange(min=1), default=6, help="Periods or sweeps written.")
+@_shown("--level", default="1 V", help="Root mean square of the signal.")
+@_shown("--phases", type=click.Choice(list(PHASES)), default="schroeder", help="Method for the phases.")
 @click.option("--odd", is_flag=True, help="Odd lines only: even lines then show even distortion.")
 @click.option(
     "--leave-out",
@@ -285,29 +260,11 @@ Value = TypeVar("Value")
     metavar="N",
     help="Leave out one line of every N: these show odd distortion.",
 )
-@click.option(
-    "--seed",
-    type=options.COUNT,
-    default=0,
-    show_default=True,
-    help="Seed of random phases and of the lines left out.",
-)
-@click.option(
-    "--sweep",
-    type=click.Choice(LAWS),
-    default=None,
-    help="A swept sine over the band in place of a multisine.",
-)
-@click.option(
-    "--direction", type=click.Choice(DIRECTIONS), default="up", show_default=True, help="Of the sweeps."
-)
-@click.option("--length", default="60 s", show_default=True, help="Length of one sweep.")
-@click.option(
-    "--pause",
-    default="5 s",
-    show_default=True,
-    help="Pause after each sweep, in which the rig comes to rest.",
-)
+@_shown("--seed", type=options.COUNT, default=0, help="Seed of random phases and of the lines left out.")
+@click.option("--sweep", type=click.Choice(LAWS), help="A swept sine over the band in place of a multisine.")
+@_shown("--direction", type=click.Choice(DIRECTIONS), default="up", help="Of the sweeps.")
+@_shown("--length", default="60 s", help="Length of one sweep.")
+@_shown("--pause", default="5 s", help="Pause after each sweep, in which the rig comes to rest.")
 @options.quiet
 def excite(
     output: Path,
@@ -330,6 +287,11 @@ def excite(
     # Loads pandas, which no other command here needs.
     from labpipe.project.exports import write_signal
 
+    context, unused = click.get_current_context(), OF_SWEEPS if sweep is None else OF_MULTISINES
+    for name in unused:
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            other = "a swept sine: name its --sweep" if sweep is None else "a multisine: leave out --sweep"
+            raise ConfigError(f"--{name.replace('_', '-')}: is of {other}")
     limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
@@ -361,26 +323,16 @@ def _rate(swept: Sweep) -> str:
 
 
 def _option(name: str, read: Callable[[], Value]) -> Value:
-    """The value of an option; ConfigError that names the option."""
     try:
         return read()
     except UnitError as error:
         raise ConfigError(error.what, name, error.hint) from None
 
 
-# labpipe simulate RIG -o DIR [--seed N]
-
-
 @click.command()
 @click.argument("rig_path", metavar="RIG", type=options.PATH)
 @options.out_folder
-@click.option(
-    "--seed",
-    type=options.COUNT,
-    default=1,
-    show_default=True,
-    help="Seed of the noise; the same seed, the same bytes.",
-)
+@_shown("--seed", type=options.COUNT, default=1, help="Seed of the noise; the same seed, the same bytes.")
 @click.option(
     "--run", "runs", multiple=True, metavar="NAME", help="Simulate this run only (repeatable); default: all."
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 
 import click
 
@@ -13,6 +14,7 @@ from labpipe.records.identification import DatasetIndex, Fit, Identification
 from labpipe.records.sections import section
 from labpipe.records.text import parameter_cells
 
+Say = Callable[[str], None]
 MAX_BANDS = 8
 MAX_NOTES = 8
 # Numerous parameters such as mode shapes are only in identification.json and the report.
@@ -20,61 +22,60 @@ IN_REPORT_ONLY = ("shape_", "participation_")
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:
-    """Findings of the measurement, fits, warnings and outcomes of rules.
+    """Findings of the measurement, fits, and outcomes of rules; *quiet*: warnings and rules that fail alone.
 
     Long sliding series are shortened, the report is complete.
     """
-    if quiet:
-        return
+    say: Say = (lambda _line: None) if quiet else echo
     if identification.dataset is not None:
-        _echo_dataset(identification.dataset)
-    _echo_findings([response.findings for response in identification.responses], "tests")
+        _echo_dataset(identification.dataset, say)
+    _echo_findings([response.findings for response in identification.responses], "tests", say)
     for name in dict.fromkeys(fit.name for fit in identification.fits):
         fits = [fit for fit in identification.fits if fit.name == name]
         displayed = fits if len(fits) <= MAX_BANDS else [*fits[: MAX_BANDS // 2], *fits[-MAX_BANDS // 2 :]]
         for number, fit in enumerate(displayed):
             if len(displayed) < len(fits) and number == MAX_BANDS // 2:
-                echo(f"  ... {len(fits) - len(displayed)} more fits of '{name}' in identification.json ...")
-            _echo_fit(fit)
-        _echo_findings([fit.findings for fit in fits], "fits")
+                say(f"  ... {len(fits) - len(displayed)} more fits of '{name}' in identification.json ...")
+            _echo_fit(fit, say)
+        _echo_findings([fit.findings for fit in fits], "fits", say)
     for name, record in identification.sections.items():
         for line in section(name).terminal(record):
-            echo(line)
-        _echo_findings([tuple(finding for _, finding in section(name).findings(record))], name)
+            say(line)
+        _echo_findings([tuple(finding for _, finding in section(name).findings(record))], name, say)
     for outcome in identification.outcomes:
         mark = _colour("passed", "green") if outcome.passed else _colour("FAILED", "red")
-        echo(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
+        tell = say if outcome.passed else echo
+        tell(f"  {outcome.section}: {outcome.rule}: {mark} (found {outcome.found})")
 
 
-def _echo_dataset(index: DatasetIndex) -> None:
-    """Tests and fits by their number, each kind of warning once."""
+def _echo_dataset(index: DatasetIndex, say: Say) -> None:
     fits = ", ".join(f"{count} of {name}" for name, count in index.fits.items())
     failed = f", {index.failed} failed" if index.failed else ""
     refused = f", {index.not_accepted} not accepted" if index.not_accepted else ""
-    echo(
+    say(
         f"{index.tests} tests evaluated{failed}{refused}; fits: {fits or 'none'}; {index.rows} rows in "
         "dataset/"
     )
     for counted in index.of_level(WARNING):
         echo(f"  {_colour('warning', 'yellow')} {counted.message}")
     for counted in index.of_level(NOTE)[:MAX_NOTES]:
-        echo(f"  {_colour('note', 'cyan')} {counted.message}")
+        say(f"  {_colour('note', 'cyan')} {counted.message}")
 
 
-def _echo_fit(fit: Fit) -> None:
+def _echo_fit(fit: Fit, say: Say) -> None:
     test = f" [{fit.test}]" if fit.test else ""
     term = f" of {fit.term}" if fit.term else ""
     band = f" {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz" if fit.band_hz[1] > fit.band_hz[0] else ""
     chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.2f}"
-    echo(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
+    say(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
     for parameter in fit.parameters:
         if not parameter.name.startswith(IN_REPORT_ONLY):
-            echo(f"  {_parameter_line(parameter)}")
+            say(f"  {_parameter_line(parameter)}")
     if fit.candidates:
         best = fit.candidates[0]
         quality = f"{best.parameters} parameters, chi2/dof {best.chi2 / best.dof:.2f}"
         criterion = "AIC" if best.bic is None else "BIC"
-        echo(f"  best of {len(fit.candidates)} models by {criterion}: {best.name} ({quality})")
+        say(f"  best of {len(fit.candidates)} models by {criterion}: {best.name} ({quality})")
 
 
 def _parameter_line(parameter: Parameter) -> str:
@@ -87,10 +88,7 @@ def _parameter_line(parameter: Parameter) -> str:
     return f"{name:<14}{value:>12}{sign}{error:<9} {unit:<6} ({what}){mark}"
 
 
-def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
-    """Each kind of warning once, with the number of fits or tests it concerns, then the notes up to a maximum
-    number.
-    """
+def _echo_findings(carriers: list[tuple[Finding, ...]], what: str, say: Say) -> None:
     by_code: dict[str, dict[int, str]] = {}
     for number, findings in enumerate(carriers):
         for finding in of_level(WARNING, findings):
@@ -100,9 +98,9 @@ def _echo_findings(carriers: list[tuple[Finding, ...]], what: str) -> None:
         echo(f"  {_colour('warning', 'yellow')} {code}{times}: {for_terminal(next(iter(messages.values())))}")
     notes = list(dict.fromkeys(finding for findings in carriers for finding in of_level(NOTE, findings)))
     for finding in notes[:MAX_NOTES]:
-        echo(f"  {_colour('note', 'cyan')} {finding.code}: {for_terminal(finding.message)}")
+        say(f"  {_colour('note', 'cyan')} {finding.code}: {for_terminal(finding.message)}")
     if len(notes) > MAX_NOTES:
-        echo(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
+        say(f"  ... {len(notes) - MAX_NOTES} more notes in the report ...")
 
 
 def _colour(text: str, colour: str) -> str:

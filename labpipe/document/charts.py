@@ -161,7 +161,6 @@ def _put(canvas: Canvas, places: Sequence[Any]) -> None:
 
 
 def _words(canvas: Canvas) -> Words:
-    """Of a chart: size, places of panels, titles, names and numbers."""
     words = [*canvas.get_size_inches(), *(text.get_text() for text in canvas.texts)]
     for legend in (*canvas.legends, *(axes.get_legend() for axes in canvas.axes)):
         words += [text.get_text() for text in legend.get_texts()] if legend else [None]
@@ -216,7 +215,6 @@ def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> C
 
 
 def _panels(canvas: Canvas, chart: Chart) -> list[Axes]:
-    """Empty axes of all panels of the chart."""
     grid = canvas.add_gridspec(chart.rows, chart.columns, height_ratios=chart.heights)
     drawn: list[Axes] = []
     for number in range(len(chart.panels)):
@@ -226,13 +224,11 @@ def _panels(canvas: Canvas, chart: Chart) -> list[Axes]:
 
 
 def _frame(chart: Chart) -> Frame:
-    """What a chart has of axes: size, heights, scales."""
     panels = ((panel.x.logarithmic, panel.y.logarithmic, panel.equal) for panel in chart.panels)
     return chart.size, tuple(chart.heights), chart.shared, *panels
 
 
 def _without_contents(canvas: Canvas) -> Canvas:
-    """The canvas with nothing in its panels; what stands around them is written anew."""
     around = [*canvas.legends, *(legend for axes in canvas.axes if (legend := axes.get_legend()))]
     inside = [(axes.lines, axes.patches, axes.collections, axes.texts) for axes in canvas.axes]
     for artist in (*around, *(artist for kinds in inside for kind in kinds for artist in list(kind))):
@@ -269,14 +265,10 @@ def _scales(axes: Axes, chart: Chart, number: int) -> None:
 
 
 def _is_lowest(chart: Chart, number: int) -> bool:
-    """Whether the abscissa of a panel has its numbers: it moves alone, or no panel of the chart stands
-    below.
-    """
     return "x" not in chart.shared or number + chart.columns >= len(chart.panels)
 
 
 def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
-    """Titles of panels and axes; one that all panels of a grid have in common is written once."""
     once = {
         "x": chart.columns > 1 and chart.rows > 1 and len({panel.x.label for panel in chart.panels}) == 1,
         "y": chart.columns > 1 and len({panel.y.label for panel in chart.panels}) == 1,
@@ -298,7 +290,6 @@ def _titles(canvas: Canvas, drawn: Sequence[Axes], chart: Chart) -> None:
 
 
 def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[int, Artist]) -> None:
-    """Names once for each colour: in the first panel that has them, or all of them above."""
     listed: dict[tuple[str, int], list[Series]] = {}
     for axes, panel in zip(drawn, chart.panels, strict=True):
         entries: dict[tuple[str, int], list[Series]] = {}
@@ -318,7 +309,6 @@ def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[
 def _samples(
     entries: dict[tuple[str, int], list[Series]], handles: dict[int, Artist]
 ) -> tuple[list[Any], list[str]]:
-    """Samples and names: of an entry its first line and its first marks, one on the other."""
     samples: list[Any] = []
     for series in entries.values():
         lined = next((curve for curve in series if curve.line), series[0])
@@ -329,7 +319,6 @@ def _samples(
 
 
 def _columns(entries: dict[tuple[str, int], list[Series]], side_by_side: int) -> int:
-    """Number of names per row of a legend, by the width."""
     longest = max(len(name) for name, _ in entries) + SAMPLE
     return max(1, min(len(entries), MOST_COLUMNS, int(LEGEND_LETTERS / side_by_side / longest)))
 
@@ -339,7 +328,6 @@ NARROW, FEW_TICKS = 4.0, 4
 
 
 def _number(drawn: Any, axis: Axis, limits: tuple[float, float]) -> None:
-    """Names of places, or round numbers, along an axis."""
     drawn.set_minor_locator(NullLocator())
     if axis.ticks:
         drawn.set_ticks([place for place, _ in axis.ticks], [name for _, name in axis.ticks])
@@ -409,7 +397,6 @@ def tone(colour: int) -> str:
 
 
 def _line(axes: Axes, series: Series) -> Artist:
-    """Points joined or not, with the interval around them."""
     colour = tone(series.colour)
     if series.low is not None and series.high is not None:
         if series.interval == "shaded":
@@ -436,7 +423,6 @@ def _area(axes: Axes, series: Series) -> Artist:
 
 
 def _level(axes: Axes, series: Series) -> None:
-    """A line across with its name at its end."""
     (y,) = series.y
     axes.axhline(y, color=tone(series.colour), linewidth=series.width, linestyle=series.line)
     if series.name:
@@ -450,7 +436,6 @@ def _upright(axes: Axes, series: Series) -> None:
 
 
 def _span(axes: Axes, series: Series) -> None:
-    """A band across, or upright."""
     look: dict[str, Any] = {"color": tone(series.colour), "alpha": series.opacity, "linewidth": 0}
     if series.kind == "hspan":
         axes.axhspan(*series.y, **look)
@@ -459,7 +444,6 @@ def _span(axes: Axes, series: Series) -> None:
 
 
 def _cells(axes: Axes, series: Series) -> None:
-    """A heat map with the text of every cell and the scale beside it."""
     image = axes.imshow(series.y, cmap=HEAT, vmin=-1, vmax=1, aspect="auto")
     scale = axes.figure.colorbar(image, ax=axes, ticks=[-1, -0.5, 0, 0.5, 1], aspect=30, pad=0.03)
     scale.set_label(series.name, fontsize=SMALL + 1)
@@ -478,7 +462,6 @@ def _arrow(axes: Axes, series: Series) -> None:
 
 
 def _text(axes: Axes, series: Series) -> None:
-    """Words with their middle at the points; those outside the panel are not shown, as curves are not."""
     look: dict[str, Any] = {"fontsize": series.size, "color": tone(series.colour), "clip_on": True}
     for x, y, text in zip(series.x, series.y, series.texts[0], strict=True):
         axes.text(x, y, text, ha="center", va="center", **look)
@@ -555,7 +538,6 @@ def plot(result: Any) -> Canvas:
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
-    """The figures of its report in their order, but for a short one on the first page."""
     first, *others = (
         [block for block in section.blocks if isinstance(block, Figure)]
         for section in build(identification).sections
@@ -565,7 +547,6 @@ def _of_identification(identification: Identification) -> list[Figure]:
 
 
 def _of_fits(fits: Sequence[Fit]) -> list[Figure]:
-    """One fit alone, or the bands of a sliding fit."""
     return sliding_figures(fits) if len(fits) > 1 else [figure for fit in fits for figure in fit_figures(fit)]
 
 

@@ -149,15 +149,8 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     if series.kind == "cells":
         nothing = numbers.add(np.empty(0))
         values = [_as_json(_round(row, CELL_DIGITS)) for row in series.y]
-        return {
-            **entry,
-            "name": "",
-            "scale": series.name,
-            "x": nothing,
-            "y": nothing,
-            "texts": series.texts,
-            "values": values,
-        }
+        entry |= {"name": "", "scale": series.name, "x": nothing, "y": nothing}
+        return {**entry, "texts": series.texts, "values": values}
     entry |= {
         "x": numbers.add(series.x),
         "y": numbers.add(series.y, _read_digits(series)),
@@ -214,9 +207,7 @@ def figure_csv(chart: Chart, caption: str) -> str:
 
 
 def figure_table(chart: Chart) -> Table:
-    """The same rows for a page without script: of a long series points at equal distances, its first and last
-    among them.
-    """
+    """The same rows for a page without script: of a long series a few, its first and last among them."""
     every = _rows_of_series(chart)
     room = max(2, MOST_ROWS // max(len(every), 1))
     chosen = [
@@ -231,7 +222,6 @@ def figure_table(chart: Chart) -> Table:
 
 
 def _short(text: str) -> str:
-    """A number with the digits that a reader needs."""
     try:
         return f"{float(text):.{READ_DIGITS}g}"
     except ValueError:
@@ -257,7 +247,6 @@ def _rows_of_series(chart: Chart) -> list[_Rows]:
 
 
 def _cell_rows(panel: Panel, name: str, series: Series) -> _Rows:
-    """One row per cell, named by the row and column it stands in."""
     columns, rows = (
         [label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))]
         for axis in (panel.x, panel.y)
@@ -288,6 +277,5 @@ def _point_rows(panel: Panel, name: str, series: Series) -> _Rows:
 
 
 def _number(values: FloatArray | None, n: int) -> str:
-    """Number *n* of *values* as text; empty where there is none."""
     value = float(values.flat[n]) if values is not None and n < values.size else math.nan
     return f"{value:.12g}" if math.isfinite(value) else ""

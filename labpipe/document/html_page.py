@@ -13,6 +13,7 @@ from functools import cache
 from html import escape
 from importlib.resources import files
 
+from labpipe.artefacts.writing import cell
 from labpipe.display import as_printed
 from labpipe.document.figure_numbers import figure_json, figure_table, json_text, shape_numbers, short_name
 from labpipe.report.chart import Chart, Drawing, Graphic
@@ -99,9 +100,7 @@ def live_json(graphic: Graphic) -> tuple[str, str] | None:
 
 
 def drawing_source(drawing: Drawing) -> str:
-    """A drawing as the source of an image inside the page: lines, or dots in print resolution where these are
-    shorter.
-    """
+    """A drawing as the source of an image inside the page: lines, or dots where these are shorter."""
     # Matplotlib, which takes its time to load, is for drawings alone.
     from labpipe.document.charts import canvas_of, png_bytes, svg_text
 
@@ -138,7 +137,6 @@ def _block(block: Block, counter: _Figures) -> str:
 
 
 def _table(table: Table) -> str:
-    """A table, a long one behind a summary."""
     whole = _whole(table)
     return whole if len(table.rows) <= LONG_TABLE else _fold(table, escape(_name(table)), whole)
 
@@ -148,16 +146,15 @@ def _name(table: Table) -> str:
 
 
 def _whole(table: Table) -> str:
-    """Rows under a header; a first cell with text is the row's header."""
     caption = f"<caption>{escape(as_printed(table.caption))}</caption>" if table.caption else ""
     heads = "".join(
-        f'<th scope="col"{_mark(table, n)}>{escape(as_printed(cell))}</th>'
-        for n, cell in enumerate(table.header)
+        f'<th scope="col"{_mark(table, n)}>{escape(as_printed(text))}</th>'
+        for n, text in enumerate(table.header)
     )
-    rows = ("".join(_cell(table, n, cell) for n, cell in enumerate(row)) for row in table.rows)
+    rows = ("".join(_cell(table, n, text) for n, text in enumerate(row)) for row in table.rows)
     body = "\n".join(f"<tr>{cells}</tr>" for cells in rows)
     name = escape(_name(table))
-    is_blank = table.rows and not any(cell.strip() for row in table.rows for cell in row)
+    is_blank = table.rows and not any(text.strip() for row in table.rows for text in row)
     blank = ' class="signature"' if is_blank else ""
     named = "" if table.caption else f' aria-label="{name}"'
     whole = f"<table{blank}{named}>{caption}<thead><tr>{heads}</tr></thead>\n<tbody>{body}</tbody></table>"
@@ -165,9 +162,8 @@ def _whole(table: Table) -> str:
 
 
 def _fold(table: Table, name: str, whole: str) -> str:
-    """A long table behind a summary, with all of it as a CSV file to save."""
     stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows([table.header, *table.rows])
+    csv.writer(stream, lineterminator="\n").writerows(map(cell, row) for row in (table.header, *table.rows))
     content = base64.b64encode(stream.getvalue().encode()).decode("ascii")
     file = f"{short_name(table.caption or 'table')}.csv"
     link = f'<a download="{file}" href="data:text/csv;base64,{content}">CSV</a>'

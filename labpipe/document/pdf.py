@@ -122,7 +122,6 @@ class _Pages(FPDF):
         return lines
 
     def _cut(self, word: str, room: float) -> tuple[list[str], str]:
-        """The lines that a word too long for one fills, and its rest."""
         full = []
         while self.width_of(word) > room and len(word) > 1:
             n = next((n for n in range(len(word) - 1, 1, -1) if self.width_of(word[:n]) <= room), 1)
@@ -186,7 +185,6 @@ def render_pdf(document: Document) -> bytes:
 
 
 def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
-    """All text, and the places of the drawings; of *many* charts two share a row."""
     pages.add_page()
     if document.to_sign:
         _cover(pages, document)
@@ -208,15 +206,15 @@ def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
 
 
 def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]]:
-    """The blocks, two charts that follow each other as a pair."""
     left = list(blocks)
     while left:
         first, second = left[0], left[1] if len(left) > 1 else None
         if _is_chart(first) and _is_chart(second):
             yield first, second
+            del left[:2]
         else:
             yield first
-        del left[: 2 if _is_chart(first) and _is_chart(second) else 1]
+            del left[0]
 
 
 def _is_chart(block: Block | None) -> TypeGuard[Figure]:
@@ -225,7 +223,6 @@ def _is_chart(block: Block | None) -> TypeGuard[Figure]:
 
 
 def _with_drawings(pages: _Pages) -> bytes:
-    """The file with each drawing at its place."""
     if pages.waiting:
         pages.begin_drawing()
     text = bytes(pages.output())
@@ -286,14 +283,12 @@ def _height_of(pages: _Pages, section: Section) -> float:
 
 
 def _size(figure: Figure) -> tuple[float, float]:
-    """Width and height [mm] of a drawing in its natural size, at most as wide as the text."""
     inches_wide, inches_high = figure.graphic.size
     width = min(25.4 * inches_wide, WIDEST_FIGURE)
     return width, width * inches_high / inches_wide
 
 
 def _cover(pages: _Pages, document: Document) -> None:
-    """Title, object of the test, the first section: verdict, numbers, what shows them; and place to sign."""
     pages.set_y(20)
     _title(pages, document)
     pages.ln(4)
@@ -327,7 +322,6 @@ def _title(pages: _Pages, document: Document) -> None:
 
 
 def _box(pages: _Pages, block: Paragraph) -> None:
-    """A verdict on a tinted ground with a bar of its tone beside it."""
     start, page = pages.get_y(), pages.page
     pages.set_fill_color(*SOFT)
     pages.set_font(FONT, "B" if block.kind in ("passed", "failed") else "", 11)
@@ -367,7 +361,6 @@ def _put(pages: _Pages, block: Block | tuple[Figure, Figure]) -> None:
 
 
 def _figure(pages: _Pages, figure: Figure) -> None:
-    """A drawing in its natural size, at most as wide as the text; caption below it on the same page."""
     height = _size(figure)[1]
     if pages.will_page_break(height + 10):
         pages.add_page()
@@ -378,7 +371,6 @@ def _figure(pages: _Pages, figure: Figure) -> None:
 
 
 def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
-    """Two charts beside each other, drawn anew in half the width, each with its caption below."""
     tall = min(max(figure.graphic.size[1] for figure in pair), HALF_HEIGHT)
     charts = [figure.graphic for figure in pair if isinstance(figure.graphic, Chart)]
     small = [replace(chart, size=(HALF, tall), legend="above") for chart in charts]
@@ -401,7 +393,6 @@ def _pair(pages: _Pages, pair: tuple[Figure, Figure]) -> None:
 
 
 def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
-    """A drawing in its natural size, at most as wide as the text, with its left side at *x* [mm]."""
     width, height = _size(figure)
     if _as_dots(figure):
         dots = io.BytesIO(png_bytes(canvas_of(figure.graphic)))
@@ -427,7 +418,6 @@ def _as_dots(figure: Figure) -> bool:
 
 
 def _table(pages: _Pages, table: Table) -> None:
-    """A table whose columns share the width by their longest text; its head comes again on each page."""
     if table.caption:
         if pages.will_page_break(TABLE_HEAD):
             pages.add_page()
@@ -477,7 +467,6 @@ def _column_widths(pages: _Pages, rows: Sequence[Sequence[str]]) -> list[float]:
 
 
 def _height(row: Sequence[Sequence[str]]) -> float:
-    """The height of a row of a table [mm], of which every cell is a list of lines."""
     return ROW * max(map(len, row))
 
 
@@ -488,7 +477,6 @@ def _row(
     numeric: Sequence[int],
     is_head: bool = False,
 ) -> None:
-    """A row of a table from margin to margin, columns of *widths* [mm], *numeric* ones to the right."""
     pages.set_font(FONT, "B" if is_head else "", 7)
     x, y, height = pages.l_margin, pages.get_y(), _height(row)
     if is_head:

@@ -18,17 +18,12 @@ DOCUMENTS = Registry("document format")
 
 
 def html_document(document: Document) -> bytes:
-    """A document as the bytes of an HTML file that opens offline: style and drawings inside, nothing fetched,
-    names from files escaped.
-    """
+    """A document as the bytes of one HTML file that opens offline."""
     return render_html(document).encode()
 
 
 def markdown_document(document: Document) -> bytes:
-    """A document as the bytes of a Markdown file.
-
-    Figures are named by their captions, and none of them is drawn.
-    """
+    """A document as the bytes of a Markdown file, figures by their captions."""
     parts = [f"# {_plain(document.title)}", _plain(document.subtitle)]
     for section in document.signed:
         parts.append(f"## {_plain(section.heading)}")

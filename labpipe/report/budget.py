@@ -100,7 +100,6 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
 
 
 def _sources(budget: Budget, names: list[str]) -> list[str]:
-    """Sources and noise by their largest share in any of the parameters, the largest first."""
     largest: dict[str, float] = {}
     for name in names:
         for source, share in budget.shares(name).items():
@@ -109,7 +108,6 @@ def _sources(budget: Budget, names: list[str]) -> list[str]:
 
 
 def _bars(budget: Budget, names: list[str]) -> Figure:
-    """One bar for each parameter, its parts in the colours of the sources."""
     series: list[Series] = []
     for number, source in enumerate(_sources(budget, names)):
         for row, name in enumerate(names):

@@ -19,7 +19,7 @@ from labpipe.report.cover import cover_facts, result_blocks, rule_blocks, sectio
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
-from labpipe.report.wording import fit_title
+from labpipe.report.wording import few, fit_title
 from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to
@@ -49,7 +49,6 @@ def verdict_sections(identification: Identification) -> tuple[Section, ...]:
 
 
 def _verdict(identification: Identification) -> tuple[Block, ...]:
-    """Missing results with their reasons, before the judgement of the others."""
     rows = tuple((failed.name, failed.message) for failed in identification.failed)
     if not rows:
         return _judgement(identification)
@@ -96,10 +95,7 @@ def _not_checked(identification: Identification) -> str:
 
 
 def _listing(origins: Iterable[str], mark: str = ", ") -> str:
-    """Each origin once, up to a number."""
-    names = list(dict.fromkeys(origins))
-    more = [f"and {len(names) - MOST_NOTES} more"] if len(names) > MOST_NOTES else []
-    return mark.join([*names[:MOST_NOTES], *more])
+    return few(list(dict.fromkeys(origins)), MOST_NOTES, mark)
 
 
 def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
@@ -126,24 +122,20 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
 
 
 def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
-    """The findings of all fits, each with the fit that it is of."""
     return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
 
 
 def _fits_with(code: str, identification: Identification) -> list[str]:
-    """The fits that have a finding of that code."""
     return [origin for origin, finding in _of_fits(identification) if finding.code == code]
 
 
 def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
-    """The findings of the sections other than fits, with their origin."""
     return [
         pair for name, record in identification.sections.items() for pair in section(name).findings(record)
     ]
 
 
 def _by_code(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
-    """Every finding of a level by its code, with where it comes from: measurements, fits, other sections."""
     measured = [
         (response.name or "measurement", finding)
         for response in identification.responses
@@ -157,7 +149,6 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
 
 
 def _warnings(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of warning once in full, with the number of fits that carry it."""
     blocks: list[Block] = []
     for code, entries in _by_code(identification, WARNING).items():
         origin, finding = entries[0]
@@ -171,9 +162,6 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
 
 
 def _notes(identification: Identification) -> tuple[Block, ...]:
-    """Each kind of note in one box, every note in full where they are few, else the first alone with their
-    number.
-    """
     blocks: list[Block] = []
     for code, entries in _by_code(identification, NOTE).items():
         notes = list(dict.fromkeys(f"{origin}: {finding.message}" for origin, finding in entries))
@@ -263,7 +251,8 @@ def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...
             differing = {k: v for k, v in entry.items() if k not in shared}
             paths.append((f"{key}.{entry.get('name', number)}", {**differing, "name": None}))
         return tuple(row for path, entry in paths for row in _stated_settings(entry, path))
-    if settings in (None, False, "", []):
+    # A number of zero is a setting; it equals False.
+    if settings is False or settings in (None, "", []):
         return ()
     parts = settings if isinstance(settings, list) else [settings]
     return ((key, ", ".join(part if isinstance(part, str) else json.dumps(part) for part in parts)),)
@@ -330,7 +319,6 @@ def build(identification: Identification, test: str = "") -> Document:
 
 
 def _fits_outside(identification: Identification) -> tuple[Section, ...]:
-    """The fits of tests that are at no point of a matrix."""
     points = (point for matrix in identification.sections["matrix"] for point in matrix.points)
     inside = {test for point in points for test in point.tests}
     fits = tuple(fit for fit in identification.fits if fit.test not in inside)
@@ -362,7 +350,6 @@ def _each_figure_once(sections: Sequence[Section]) -> tuple[Section, ...]:
 
 
 def _of_test(identification: Identification, test: str) -> Identification:
-    """The part of a result that belongs to one test."""
     names = [*identification.test_conditions, *(fit.test for fit in identification.fits)]
     if test not in names:
         raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))

@@ -12,15 +12,15 @@ from datetime import date
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.display import written
+from labpipe.display import difference_in, written
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, named_ticks, stack
+from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
 from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
-from labpipe.report.figures import CENTRE, sliding_curve, sliding_names
+from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import few, rounded, unit_text
 from labpipe.uncertainty.amounts import joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
@@ -45,9 +45,7 @@ class Value:
 
 @dataclass(frozen=True)
 class CoefficientSeries:
-    """The values of one parameter of one fit, by their dates where all tests have one, else as the results
-    were given.
-    """
+    """The values of one parameter of one fit, by dates where all have one, else in the order given."""
 
     fit: str
     name: str
@@ -79,21 +77,18 @@ class CoefficientSeries:
 
     def errors(self) -> FloatArray:
         """Standard errors (n,) [display unit], NaN where a fit has none."""
-        zero = to_display(0.0, self.unit)
-        errors = [value.parameter.full_error for value in self.values]
-        return np.array(
-            [np.nan if error is None else abs(to_display(error, self.unit) - zero) for error in errors]
-        )
+        return self._in_unit([value.parameter.full_error for value in self.values])
+
+    def _in_unit(self, errors: Sequence[float | None]) -> FloatArray:
+        return np.array([np.nan if error is None else difference_in(error, self.unit) for error in errors])
 
     def joint_errors(self) -> FloatArray:
         """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have
         sources in common.
         """
-        scale = abs(to_display(1.0, self.unit) - to_display(0.0, self.unit))
-        alone = np.array(
-            [np.nan if value.random_error is None else scale * value.random_error for value in self.values]
-        )
-        return joint_errors(alone, scale * matrix_of([value.changes for value in self.values]))
+        alone = self._in_unit([value.random_error for value in self.values])
+        changes = matrix_of([value.changes for value in self.values])
+        return joint_errors(alone, difference_in(1.0, self.unit) * changes)
 
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
@@ -118,10 +113,7 @@ class CoefficientSeries:
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
-    """Every parameter that two results or more have, of fits and other sections.
-
-    Sliding fits are drawn over frequency instead.
-    """
+    """Every parameter that two results or more have, but for those of sliding fits."""
     groups: dict[tuple[str, str], list[Value]] = {}
     for result, identification in results:
         for listed in single_parameters(identification):
@@ -148,15 +140,20 @@ def _order(values: Sequence[Value]) -> tuple[Value, ...]:
     return tuple(sorted(values, key=lambda value: value.day or date.min))
 
 
+def _label(result: str, test: str) -> str:
+    return ", ".join(filter(None, (result, test)))
+
+
 def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
-    label = f"{result}, {listed.test}" if listed.test and result else listed.test or result
     conditions = identification.test_conditions.get(listed.test, {})
     amounts = {
         name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None
     }
     days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
     day = next((day for day in days if day is not None), None)
-    return Value(label, listed.parameter, amounts, day, listed.random_error, listed.changes)
+    return Value(
+        _label(result, listed.test), listed.parameter, amounts, day, listed.random_error, listed.changes
+    )
 
 
 def _amount(text: str) -> tuple[float, str] | None:
@@ -181,10 +178,7 @@ N_TREND = 41
 
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
-    """Values with their 95 % intervals over a condition.
-
-    The weighted line with its 95 % interval where there are three or more.
-    """
+    """Values with their 95 % intervals over a condition; of three or more their weighted line."""
     axis, x = series.over()[condition]
     low, high = series.intervals().T
     tests = dots("tests", x, series.shown(), marker="o", size=4.0, bars=(low, high))
@@ -197,7 +191,6 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 
 def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
-    """The weighted line over x (n,) with its 95 % interval; nothing where the tests do not carry one."""
     try:
         line = straight_trend(x, series.shown(), series.joint_errors())
     except FitError:
@@ -214,49 +207,43 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     values = series.shown()
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
     ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
-    ends = [level(end, 1, "--", width=1.0) for end in (limits.low, limits.high)]
     tests = curve("tests", places, values, marker=".", size=4.0)
     names = [str(value.day) if series.dated else value.label[-LONGEST_NAME:] for value in series.values]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
-    lines = (*([ringed] if outside else []), level(limits.centre, width=0.9), *ends)
-    meaning = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+    lines = (*([ringed] if outside else []), *control_lines(limits.centre, limits.low, limits.high))
     alternative = f"Control chart of {series.title} with {len(outside)} values outside its limits"
     chart = stack([Panel(x, series.axis, (tests, *lines))], 3.0)
-    return Figure(chart, f"{series.title}: individuals chart; {meaning}.", alternative)
+    return Figure(chart, f"{series.title}: individuals chart; {CONTROL}.", alternative)
 
 
 def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
-    """Every coefficient of sliding fits over frequency, one curve per test.
-
-    Where two tests or more have them.
-    """
+    """Every coefficient of the sliding fits of two tests or more over frequency, a curve per test."""
     groups: dict[tuple[str, str], dict[str, list[Fit]]] = {}
     for result, identification in results:
         for fit in identification.fits:
-            label = f"{result}, {fit.test}" if fit.test and result else fit.test or result
-            groups.setdefault((fit.name, fit.term), {}).setdefault(label, []).append(fit)
+            tests = groups.setdefault((fit.name, fit.term), {})
+            tests.setdefault(_label(result, fit.test), []).append(fit)
     figures: list[Figure] = []
     for (name, term), tests in groups.items():
         sliding = {
             label: fits for label, fits in tests.items() if len(fits) > 1 and not of_points(fits[0].model)
         }
         if len(sliding) > 1:
-            names = sliding_names(next(iter(sliding.values())))
+            units = sliding_units([fit for fits in sliding.values() for fit in fits])
             title = f"{name} of {term}" if term else name
-            figures += [_overlay(title, parameter, sliding) for parameter in names]
+            figures += [_overlay(title, parameter, unit, sliding) for parameter, unit in units.items()]
     return figures
 
 
-def _overlay(title: str, parameter: str, tests: dict[str, list[Fit]]) -> Figure:
-    series = []
-    for number, (label, fits) in enumerate(list(tests.items())[:MOST_TOGETHER]):
-        shared = [fit for fit in fits if any(p.name == parameter for p in fit.parameters)]
-        if shared:
-            series.append(sliding_curve(shared, parameter, label, number, 0.15))
-    unit = unit_text(next(iter(tests.values()))[0].parameter(parameter).unit)
+def _overlay(title: str, parameter: str, unit: str, tests: dict[str, list[Fit]]) -> Figure:
+    series = [
+        sliding_curve(fits, parameter, label, number, 0.15)
+        for number, (label, fits) in enumerate(list(tests.items())[:MOST_TOGETHER])
+        if parameter in sliding_units(fits)
+    ]
     more = f"; the first {MOST_TOGETHER} of {len(tests)}" if len(tests) > MOST_TOGETHER else ""
     caption = f"{title}: {parameter} over frequency of {len(tests)} tests, shaded: 95 % intervals{more}."
-    chart = stack([Panel(CENTRE, Axis(parameter, unit), tuple(series))], 3.4)
+    chart = stack([Panel(CENTRE, Axis(parameter, unit_text(unit)), tuple(series))], 3.4)
     return Figure(chart, caption, f"{parameter} of {title} over frequency in {len(tests)} tests")
 
 
@@ -297,9 +284,8 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
             "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
         )
     trends = [trend for coefficient in series for trend in _trends(coefficient)]
-    differences = [_Differences.of(coefficient) for coefficient in series]
+    differences = _apart(series)
     corrected = holm(np.array([trend.p_value for trend in trends]))
-    _correct(differences)
     sections = (
         Section("Verdict", _verdict(series, trends, corrected, differences)),
         Section("Results", (_results(results),)),
@@ -318,42 +304,33 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     return Document(f"Campaign: {title}", subtitle, sections, cover_facts(identifications))
 
 
-@dataclass
-class _Differences:
-    """Each value of a series against the others: difference, p-value and, once all have one, that
-    corrected.
-    """
-
-    difference: FloatArray
-    p_value: FloatArray
-    corrected: FloatArray
-
-    @classmethod
-    def of(cls, coefficient: CoefficientSeries) -> _Differences:
-        """The differences of a series; NaN where its values have no errors."""
-        try:
-            difference, p_value = from_the_rest(coefficient.shown(), coefficient.joint_errors())
-        except FitError:
-            difference = p_value = np.full(len(coefficient.values), np.nan)
-        return cls(difference, p_value, p_value.copy())
+# The difference of each value of a series from the others [display unit], and its p-value after Holm.
+Apart = tuple[FloatArray, FloatArray]
 
 
-def _correct(differences: Sequence[_Differences]) -> None:
-    """Holm's correction over all differences; two values are one test, not two."""
-    tested = [coefficient for coefficient in differences if np.all(np.isfinite(coefficient.p_value))]
-    counted = [
-        coefficient.p_value if coefficient.p_value.size > 2 else coefficient.p_value[:1]
-        for coefficient in tested
-    ]
-    if not counted:
-        return
-    corrected = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
-    for coefficient, part in zip(tested, corrected, strict=True):
-        coefficient.corrected = np.resize(part, coefficient.p_value.size)
+def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
+    """Of every series, NaN where its values have no errors. All are corrected together."""
+    found = [_from_the_rest(coefficient) for coefficient in series]
+    corrected = [p for _, p in found]
+    tested = [number for number, p in enumerate(corrected) if np.all(np.isfinite(p))]
+    if tested:
+        # Two values are one test, not two.
+        counted = [corrected[number][: None if corrected[number].size > 2 else 1] for number in tested]
+        parts = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
+        for number, part in zip(tested, parts, strict=True):
+            corrected[number] = np.resize(part, corrected[number].size)
+    return [(difference, p) for (difference, _), p in zip(found, corrected, strict=True)]
+
+
+def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
+    try:
+        return from_the_rest(coefficient.shown(), coefficient.joint_errors())
+    except FitError:
+        unknown = np.full(len(coefficient.values), np.nan)
+        return unknown, unknown
 
 
 def _trends(coefficient: CoefficientSeries) -> list[Trend]:
-    """One straight trend for every condition that differs; none where errors or tests are missing."""
     trends = []
     for name, (_, condition) in coefficient.over().items():
         try:
@@ -370,9 +347,8 @@ def _verdict(
     series: Sequence[CoefficientSeries],
     trends: Sequence[Trend],
     corrected: FloatArray,
-    differences: Sequence[_Differences],
+    differences: Sequence[Apart],
 ) -> tuple[Block, ...]:
-    """What a reader must know first: values out of control, trends, and values that differ."""
     charted = [coefficient for coefficient in series if len(coefficient.values) >= FEWEST]
     labels = [(coefficient.title, _outside(coefficient)) for coefficient in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
@@ -381,7 +357,7 @@ def _verdict(
         for trend, p in zip(trends, corrected, strict=True)
         if p < LEVEL
     ]
-    n_apart = sum(int(np.sum(apart.corrected < LEVEL)) for apart in differences)
+    n_apart = sum(int(np.sum(p < LEVEL)) for _, p in differences)
     n = len(charted)
     if outside:
         which = f"{len(outside)} of {n} charts have values beyond their limits: {', '.join(outside)}."
@@ -442,10 +418,7 @@ def _slope_unit(trend: Trend) -> str:
     return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
-def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block, ...]:
-    """Figures over the conditions, the control chart in words and as a figure, and every value with its
-    difference.
-    """
+def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
     blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
         limits, n = control_limits(coefficient.shown()), len(coefficient.values)
@@ -461,11 +434,11 @@ def _blocks(coefficient: CoefficientSeries, apart: _Differences) -> tuple[Block,
     return (*blocks, _value_table(coefficient, apart))
 
 
-def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
+def _value_table(coefficient: CoefficientSeries, apart: Apart) -> Table:
     rows = []
-    over = coefficient.over()
+    over, (differences, corrected) = coefficient.over(), apart
     for n, (value, error) in enumerate(zip(coefficient.shown(), coefficient.errors(), strict=True)):
-        (low, high), p = coefficient.intervals()[n], apart.corrected[n]
+        (low, high), p = coefficient.intervals()[n], corrected[n]
         rows.append(
             (
                 coefficient.values[n].label,
@@ -473,7 +446,7 @@ def _value_table(coefficient: CoefficientSeries, apart: _Differences) -> Table:
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
                 rounded(value, error),
                 " to ".join(written(value, error, low, high)[2:]) if np.isfinite(low) else "none",
-                rounded(apart.difference[n], error) if np.isfinite(apart.difference[n]) else "",
+                rounded(differences[n], error) if np.isfinite(differences[n]) else "",
                 f"{p:.2g}{' *' if p < LEVEL else ''}" if np.isfinite(p) else "",
             )
         )

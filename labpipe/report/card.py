@@ -33,7 +33,7 @@ def recording_card(overview: Overview) -> Document:
         Section("Levels", (_levels(overview.plotted),)),
         Section("Channels", tuple(channel_figure(channel, overview) for channel in overview.plotted)),
     )
-    return _card(overview.file, f"{overview.kind[0].upper()}{overview.kind[1:]}", sections)
+    return _card(overview.file, overview.kind.capitalize(), sections)
 
 
 def response_card(response: FrequencyResponse, file: str) -> Document:
@@ -86,13 +86,14 @@ def _response_facts(response: FrequencyResponse, file: str) -> tuple[Block, ...]
         ("file", file),
         ("form", f"{response.form} [{FORMS[response.form]}]"),
         ("lines", f"{frequency.size}, {frequency[0]:g} to {frequency[-1]:g} Hz"),
-        ("averages", "not stated" if response.averages is None else f"{response.averages:.4g}"),
+        ("averages", f"{response.averages:.4g}" if response.averages > 1 else "1, or not stated"),
         ("uncertainty", " and ".join(uncertainties) or neither),
     )
+    drive = "base" if response.form == "transmissibility" else "force"
+    kinds = [("response", port) for port in response.outputs] + [(drive, port) for port in response.inputs]
     ports = tuple(
         (kind, port.label, port.dof, "" if port.angle is None else f"{np.degrees(port.angle):g}")
-        for kind, ports_of_kind in (("response", response.outputs), ("force", response.inputs))
-        for port in ports_of_kind
+        for kind, port in kinds
     )
     return (
         Table(("what", "which"), rows, "Entries of the file"),
@@ -112,7 +113,6 @@ def _content_blocks(findings: Sequence[Finding]) -> tuple[Block, ...]:
 
 
 def _against_the_rig(contradictions: Sequence[str] | None) -> tuple[Section, ...]:
-    """What a rig file says otherwise; nothing without a rig file."""
     if contradictions is None:
         return ()
     agreement = Paragraph("File and rig file agree in columns, units and rate.", "passed")
@@ -151,10 +151,6 @@ def channel_figure(channel: ChannelOverview, overview: Overview) -> Figure:
 
 
 def _envelope(channel: ChannelOverview, rate: float | None) -> Panel:
-    """One line up and down through the ends of every stretch.
-
-    The samples themselves where stretches are single samples.
-    """
     envelope = channel.envelope
     starts = np.arange(envelope.low.size) * envelope.step / (rate or 1.0)
     x = Axis("time", "s") if rate else Axis("sample")

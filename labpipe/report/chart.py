@@ -87,36 +87,31 @@ def curve(
     colour: int = 0,
     line: str = "-",
     *,
-    width: float = 1.0,
     marker: str = "",
     size: float = 3.0,
     band: Ends | None = None,
     bars: Ends | None = None,
     opacity: float = 0.15,
-    hollow: bool = False,
-    entry: str = "",
+    **look: Any,
 ) -> Series:
     """Points (n,) joined by a *line*; *band* and *bars*: the two ends (n,) of an interval, shaded (with
-    *opacity*) or as bars.
+    *opacity*) or as bars. *look*: width, hollow and entry of a series.
     """
-    ends = band or bars
-    low, high = (None, None) if ends is None else (np.asarray(end, float) for end in ends)
+    low, high = band or bars or (None, None)
     return Series(
         "line",
         name,
         x=np.asarray(x, float),
         y=np.asarray(y, float),
         colour=colour,
-        low=low,
-        high=high,
         interval="shaded" if band else "bar" if bars else "",
         line=line,
         marker=marker,
         size=size if marker else 0.0,
-        width=width,
         opacity=opacity,
-        hollow=hollow,
-        entry=entry,
+        low=None if low is None else np.asarray(low, float),
+        high=None if high is None else np.asarray(high, float),
+        **look,
     )
 
 
@@ -128,6 +123,15 @@ def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str 
 def level(y: float, colour: int = GREY, line: str = "-", *, width: float = 0.8, name: str = "") -> Series:
     """A line across the panel at *y*; its name, if any, is written at its end."""
     return Series("hline", name, x=np.empty(0), y=np.array([y]), colour=colour, line=line, width=width)
+
+
+# The lines of a control chart, in words.
+CONTROL = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+
+
+def control_lines(centre: float, low: float, high: float) -> tuple[Series, ...]:
+    """Centre and limits of a control chart."""
+    return (level(centre, width=0.9), *(level(end, 1, "--", width=1.0) for end in (low, high)))
 
 
 def upright(x: float, colour: int = GREY, line: str = "-", *, width: float = 0.8) -> Series:
@@ -192,9 +196,7 @@ def labels(
 
 
 def look(number: int) -> tuple[int, str]:
-    """Colour and line of the curve of this number among many: where colours begin anew the lines are
-    dashed.
-    """
+    """Colour and line of a curve by its number: where colours begin anew the lines are dashed."""
     return number % PALETTE_SIZE, LINES[number // PALETTE_SIZE % len(LINES)]
 
 
@@ -271,16 +273,11 @@ class Chart:
         return tuple(share / sum(shares) for share in shares)
 
     def group(self, number: int, which: str) -> int:
-        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with.
-
-        Its own number where it moves alone.
-        """
+        """The panel whose axis *which* ('x' or 'y') the panel of this number moves with, or its own."""
         return 0 if which in self.shared else number
 
     def limits(self, number: int, which: str) -> tuple[float, float]:
-        """Both ends of an axis of a panel: as stated, else from all series of the panels that it moves
-        with.
-        """
+        """Both ends of an axis: as stated, else from all series of the panels that it moves with."""
         panels = self.panels if which in self.shared else (self.panels[number],)
         axis = getattr(self.panels[number], which)
         drawn = [series for panel in panels for series in panel.series]
@@ -316,7 +313,6 @@ Graphic = Chart | Drawing
 
 
 def _extent(series: Series, which: str) -> list[FloatArray]:
-    """All values of a series along an axis."""
     parts = [series.x] if which == "x" else [series.y, series.low, series.high]
     return [part.reshape(-1) for part in parts if part is not None]
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from labpipe.report.wording import legible, unit_text
 
 
 def loop_blocks(comparison: Comparison) -> list[Block]:
-    """Correlations of fitted unknowns, and the bands."""
+    """Correlations of fitted unknowns, or the bands."""
     warnings = [f"{finding.code}: {finding.message}" for finding in of_level(WARNING, comparison.findings)]
     blocks: list[Block] = [Paragraph(f"{'; '.join(warnings)}.", "warning")] if warnings else []
     if comparison.correlations:
@@ -45,10 +46,9 @@ def loop_blocks(comparison: Comparison) -> list[Block]:
 
 
 def _band_table(comparison: Comparison, name: str) -> Table:
-    """A row for every band and test: value, interval, reference value, ratio; * where they differ."""
     bands = [band for band in comparison.bands if band.parameter == name]
-    several = not bands[0].p_value and len({band.test for band in bands}) > 1
     tested = bands[0].p_value is not None
+    several = not tested and len({band.test for band in bands}) > 1
     first = ("test", "band [Hz]", f"{name} [{unit_text(bands[0].unit)}]", "95 % interval")
     other = "the other test" if tested else "predicted"
     header = (*first, other, "ratio with 95 % interval", "p-value, corrected")
@@ -86,7 +86,6 @@ def comparison_figures(comparison: Comparison, responses: Sequence[FrequencyResp
 
 
 def _abscissa(comparison: Comparison, points: Sequence[ComparedPoint]) -> list[float]:
-    """The condition in its display unit, or the number of the test where there is none."""
     if any(point.condition is None for point in points):
         return [float(number) for number in range(1, len(points) + 1)]
     factor = scale_of(comparison.condition_unit)
@@ -103,29 +102,24 @@ def _subject(comparison: Comparison) -> chart.Axis:
 
 
 def _tests(comparison: Comparison, points: Sequence[ComparedPoint], name: str, colour: int) -> chart.Series:
-    """Values with their 95 % intervals."""
     factor = scale_of(comparison.unit)
     values = factor * np.array([point.value for point in points])
     ends = factor * np.array([point.ci95 or (point.value, point.value) for point in points]).T
-    return chart.dots(
-        name, _abscissa(comparison, points), values, colour, marker="o", size=4.0, bars=(ends[0], ends[1])
-    )
+    x = _abscissa(comparison, points)
+    return chart.dots(name, x, values, colour, marker="o", size=4.0, bars=(ends[0], ends[1]))
 
 
 def _trend(comparison: Comparison) -> Figure:
     x, y = np.array(comparison.line).T
     law = chart.curve("fitted law", scale_of(comparison.condition_unit) * x, scale_of(comparison.unit) * y, 1)
-    panel = chart.Panel(
-        _condition(comparison), _subject(comparison), (_tests(comparison, comparison.points, "tests", 0), law)
-    )
+    tests = _tests(comparison, comparison.points, "tests", 0)
+    panel = chart.Panel(_condition(comparison), _subject(comparison), (tests, law))
     mean = f" at the mean {comparison.second}" if comparison.second else ""
-    return _figure(
-        comparison, chart.stack([panel], 3.2), f"tests with 95 % intervals and the fitted law{mean}"
-    )
+    meaning = f"tests with 95 % intervals and the fitted law{mean}"
+    return _figure(comparison, chart.stack([panel], 3.2), meaning)
 
 
 def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
-    """The points of every group, in the order in which the groups come."""
     groups: dict[str, list[ComparedPoint]] = {}
     for point in comparison.points:
         groups.setdefault(point.group, []).append(point)
@@ -133,7 +127,6 @@ def _groups(comparison: Comparison) -> dict[str, list[ComparedPoint]]:
 
 
 def _difference(comparison: Comparison) -> Figure:
-    """Both groups over the condition, and below how far each test is from the mean of its condition."""
     groups = _groups(comparison)
     above, below = [], []
     for order, (group, points) in enumerate(groups.items()):
@@ -157,7 +150,6 @@ def _mean_at(comparison: Comparison, point: ComparedPoint) -> float:
 
 
 def _repeatability(comparison: Comparison) -> Figure:
-    """Every test in its setting; shaded: the scatter within a setting about the mean of all."""
     factor, groups = scale_of(comparison.unit), _groups(comparison)
     mean, within = (factor * comparison.amount(name).value for name in ("mean", "within"))
     series: list[chart.Series] = []
@@ -165,40 +157,33 @@ def _repeatability(comparison: Comparison) -> Figure:
         values = [factor * point.value for point in points]
         places = order + np.linspace(-BESIDE, BESIDE, len(points))
         series.append(chart.dots("tests", places, values, marker="o", size=4.0))
-        series.append(
-            chart.curve(
-                "mean of a setting", [order - BAR, order + BAR], [float(np.mean(values))] * 2, 1, width=1.5
-            )
-        )
-    x = chart.Axis(
-        _condition(comparison).title, _condition(comparison).unit, ticks=chart.named_ticks(list(groups))
-    )
-    panel = chart.Panel(
-        x, _subject(comparison), (*series, chart.level(mean), chart.span(mean - within, mean + within, 0))
-    )
+        bar = [order - BAR, order + BAR], [float(np.mean(values))] * 2
+        series.append(chart.curve("mean of a setting", *bar, 1, width=1.5))
+    x = replace(_condition(comparison), ticks=chart.named_ticks(list(groups)))
+    series += [chart.level(mean), chart.span(mean - within, mean + within, 0)]
+    panel = chart.Panel(x, _subject(comparison), tuple(series))
     meaning = "tests (dots), mean of each setting (bars); shaded: standard deviation within a setting"
     return _figure(comparison, chart.stack([panel], 3.2), meaning)
 
 
-def _ratio(comparison: Comparison) -> Figure:
-    """Measured and theory over the condition, and their ratio with the common one."""
-    graphic = _beside(comparison, "theory", "bearing: measured / theory")
-    meaning = (
+# What stands beside the measured values, their ratio, and both in words.
+BESIDE_MEASURED = {
+    "ratio": (
+        "theory",
+        "bearing: measured / theory",
         "the measured fit beside the same fit of the theory's curve; below: ratio of the bearings' "
-        "stiffness, shaded: the common one"
-    )
-    return _figure(comparison, graphic, meaning)
+        "stiffness, shaded: the common one",
+    ),
+    "rayleigh": (
+        "Rayleigh damping",
+        "measured / Rayleigh",
+        "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals",
+    ),
+}
 
 
-def _rayleigh(comparison: Comparison) -> Figure:
-    """Measured damping beside beta times stiffness."""
-    graphic = _beside(comparison, "Rayleigh damping", "measured / Rayleigh")
-    meaning = "measured damping beside that of one beta for all tests; below: their ratio with 95 % intervals"
-    return _figure(comparison, graphic, meaning)
-
-
-def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
-    """Measured and predicted values over the condition; below, their ratio."""
+def _beside(comparison: Comparison) -> Figure:
+    what, ratio, meaning = BESIDE_MEASURED[comparison.kind]
     points, factor = comparison.points, scale_of(comparison.unit)
     x, condition = _abscissa(comparison, points), _condition(comparison)
     theory = [np.nan if point.theory is None else factor * point.theory for point in points]
@@ -206,30 +191,24 @@ def _beside(comparison: Comparison, what: str, ratio: str) -> chart.Chart:
     ratios = [np.nan if point.ratio is None else point.ratio for point in points]
     ends = np.array([point.ratio_ci95 or (np.nan, np.nan) for point in points], float).T
     measured = chart.dots("measured", x, ratios, marker="o", size=4.0, bars=(ends[0], ends[1]))
-    common = _common(comparison, "ratio") if comparison.kind == "ratio" else ()
+    common = _common(comparison) if comparison.kind == "ratio" else ()
     above = chart.Panel(
         condition, _subject(comparison), (_tests(comparison, points, "measured", 0), predicted), share=3.0
     )
     below = chart.Panel(condition, chart.Axis(ratio), (measured, *common, chart.level(1.0)), share=2.0)
-    return chart.stack([above, below], 5.0)
+    return _figure(comparison, chart.stack([above, below], 5.0), meaning)
 
 
-def _common(comparison: Comparison, name: str) -> tuple[chart.Series, ...]:
-    """A common value with its 95 % interval across the whole width."""
-    amount = comparison.amount(name)
+def _common(comparison: Comparison) -> tuple[chart.Series, ...]:
+    amount = comparison.amount("ratio")
     shade = () if amount.ci95 is None else (chart.span(*amount.ci95, 2, 0.2),)
     return (chart.level(amount.value, 2, width=1.0), *shade)
 
 
 def _overlays(comparison: Comparison) -> Figure:
-    """The measured curve, the theory's, and the theory times the test's own ratio, at the first and the last
-    condition.
-    """
     panels = [_overlay(overlay) for overlay in comparison.overlays]
-    caption = (
-        f"{comparison.name}: the term's measured curve and the theory's with the measured damping, "
-        "before and after the ratio."
-    )
+    what = "the term's measured curve and the theory's with the measured damping, before and after the ratio"
+    caption = f"{comparison.name}: {what}."
     alternative = f"Measured and theoretical response of {comparison.subject}"
     return Figure(chart.stack(panels, 0.6 + 2.5 * len(panels)), caption, alternative)
 
@@ -280,8 +259,8 @@ FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "difference": _difference,
     "quotient": _difference,
     "repeatability": _repeatability,
-    "ratio": _ratio,
-    "rayleigh": _rayleigh,
+    "ratio": _beside,
+    "rayleigh": _beside,
 }
 OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
     "prediction": prediction_figures,
@@ -293,10 +272,10 @@ OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")
 EXPLAINED = {
     "trend": "Weights: the fits' standard errors and the error of setting the condition.",
-    "difference": "Tests at the same condition are paired; the logarithm of their ratio is averaged with "
-    "weights.",
-    "quotient": "Tests at the same condition are paired; the logarithm of their ratio is averaged with "
-    "weights.",
+    **dict.fromkeys(
+        ("difference", "quotient"),
+        "Tests at the same condition are paired; the logarithm of their ratio is averaged with weights.",
+    ),
     "repeatability": "One-way random effects: the scatter of repeats without a new setting, and that of the "
     "settings beyond it.",
     "ratio": (
@@ -352,15 +331,11 @@ def comparison_sections(comparisons: Comparisons, identification: Identification
 
 def comparison_blocks(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> tuple[Block, ...]:
     """Statement, amounts, figures, tests."""
+    amounts = tuple(map(_amount_row, comparison.amounts))
     return (
         Paragraph(comparison.statement, "note"),
         Paragraph(EXPLAINED[comparison.kind]),
-        Table(
-            AMOUNT_HEADER,
-            tuple(map(_amount_row, comparison.amounts)),
-            f"Amounts of {comparison.name}",
-            (1, 3, 4),
-        ),
+        Table(AMOUNT_HEADER, amounts, f"Amounts of {comparison.name}", (1, 3, 4)),
         *comparison_figures(comparison, responses),
         *([_point_table(comparison)] if comparison.points else []),
         *loop_blocks(comparison),
@@ -414,7 +389,6 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
 
 
 def _ratio_words(point: ComparedPoint) -> tuple[str, str]:
-    """The ratio and its interval, to the second digit of the interval's half width."""
     if point.ratio is None or point.ratio_ci95 is None:
         return "" if point.ratio is None else number(point.ratio), ""
     low, high = point.ratio_ci95

@@ -17,8 +17,10 @@ from labpipe.records.identification import Identification
 from labpipe.records.text import parameter_cells
 from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.wording import legible, rounded
+from labpipe.report.wording import legible, rounded, titled
 
+# A point with its value of a coefficient.
+Valued = tuple[comparison.MatrixPoint, comparison.Repeated]
 # Height of a row of a map, and room for its axes [in].
 MAP_HEIGHT, ROOM = 0.42, 1.1
 # From here on, and below its inverse, numbers are written with an exponent.
@@ -27,10 +29,7 @@ CIRCLE = np.linspace(0.0, 2 * math.pi, 121)
 
 
 def coverage_figure(matrix: comparison.ConditionMatrix) -> list[Figure]:
-    """Number of tests at every combination of the first two conditions.
-
-    Nothing where there is one condition.
-    """
+    """Number of tests at every combination of the first two conditions, where there are two."""
     if len(matrix.axes) < 2:
         return []
     counts = np.zeros((len(matrix.axes[1].levels), len(matrix.axes[0].levels)), int)
@@ -61,36 +60,22 @@ def _unit(axis: comparison.ConditionAxis) -> str:
 
 
 def coefficient_figures(matrix: comparison.ConditionMatrix, name: str) -> list[Figure]:
-    """One figure of lines for every combination of the third and further conditions.
-
-    Of two conditions a map as well.
-    """
-    groups: dict[tuple[int, ...], list[comparison.MatrixPoint]] = {}
+    """Lines, and of two conditions a map, for every combination of the further conditions."""
+    groups: dict[tuple[int, ...], list[Valued]] = {}
     for point in matrix.points:
-        groups.setdefault(point.place[2:], []).append(point)
+        if (value := point.value(name)) is not None:
+            groups.setdefault(point.place[2:], []).append((point, value))
     figures = []
-    for further, points in groups.items():
+    for further, having in groups.items():
         at = ", ".join(axis.text(axis.levels[n]) for axis, n in zip(matrix.axes[2:], further, strict=True))
-        figures.append(_lines(matrix, name, points, at))
+        figures.append(_lines(matrix, name, having, at))
         if len(matrix.axes) > 1 and all(len(axis.levels) > 1 for axis in matrix.axes[:2]):
-            figures.append(_value_map(matrix, name, points, at))
+            figures.append(_value_map(matrix, name, having, at))
     return figures
 
 
-def _values(
-    points: Sequence[comparison.MatrixPoint], name: str
-) -> list[tuple[comparison.MatrixPoint, comparison.Repeated]]:
-    return [(point, value) for point in points if (value := point.value(name)) is not None]
-
-
-def _lines(
-    matrix: comparison.ConditionMatrix, name: str, points: Sequence[comparison.MatrixPoint], at: str
-) -> Figure:
-    """The coefficient over the first condition, one line with bars for every level of the second; dashed: the
-    theory.
-    """
+def _lines(matrix: comparison.ConditionMatrix, name: str, having: Sequence[Valued], at: str) -> Figure:
     first, unit = matrix.axes[0], matrix.unit_of(name)
-    having = _values(points, name)
     series: list[chart.Series] = []
     expected: list[chart.Series] = []
     for number, second in enumerate(sorted({point.place[1:2] for point, _ in having})):
@@ -113,24 +98,17 @@ def _lines(
     return Figure(chart.stack([panel], 3.2), caption, f"{name} of {matrix.name} over {first.name}")
 
 
-def _value_map(
-    matrix: comparison.ConditionMatrix, name: str, points: Sequence[comparison.MatrixPoint], at: str
-) -> Figure:
+def _value_map(matrix: comparison.ConditionMatrix, name: str, having: Sequence[Valued], at: str) -> Figure:
     shape = (len(matrix.axes[1].levels), len(matrix.axes[0].levels))
     values, unit = np.full(shape, np.nan), matrix.unit_of(name)
-    for point, value in _values(points, name):
+    for point, value in having:
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
     texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
     graphic = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
     where = f" at {at}" if at else ""
-    caption = f"{_title(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
+    caption = f"{titled(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
     return Figure(graphic, caption, f"Map of {name} of {matrix.name}")
-
-
-def _title(name: str, unit: str) -> str:
-    """A name with its unit, if any."""
-    return f"{name} [{legible(unit)}]" if legible(unit) else name
 
 
 def _number_text(value: float) -> str:
@@ -141,9 +119,7 @@ def _number_text(value: float) -> str:
 
 
 def path_figure(matrix: comparison.ConditionMatrix) -> Figure:
-    """The rest positions over the load, one line per level of the other conditions, within the clearance
-    circle where it is known.
-    """
+    """The rest positions over the load, one line per level of the other conditions."""
     series: list[chart.Series] = []
     for number, path in enumerate(matrix.paths):
         scale = 1e6 if path.clearance is None else 1.0 / path.clearance
@@ -207,9 +183,8 @@ def _matrix_blocks(matrix: comparison.ConditionMatrix) -> tuple[Block, ...]:
 
 
 def _points_table(matrix: comparison.ConditionMatrix) -> Table:
-    """Every point with its tests, what stands beside, and warnings of its tests."""
     beside = [
-        _title(entry.name, comparison.condition_unit(entry.name, entry.unit))
+        titled(entry.name, comparison.condition_unit(entry.name, entry.unit))
         for entry in matrix.points[0].beside
     ]
     header = (*_axis_titles(matrix), "tests", *beside, "warnings")
@@ -222,7 +197,7 @@ def _points_table(matrix: comparison.ConditionMatrix) -> Table:
 
 
 def _axis_titles(matrix: comparison.ConditionMatrix) -> tuple[str, ...]:
-    return tuple(_title(axis.name, axis.shown_unit) for axis in matrix.axes)
+    return tuple(titled(axis.name, axis.shown_unit) for axis in matrix.axes)
 
 
 def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -> tuple[str, ...]:
@@ -232,12 +207,11 @@ def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -
 
 
 def _beside(point: comparison.MatrixPoint) -> tuple[str, ...]:
-    texts = []
-    for entry in point.beside:
-        unit = comparison.condition_unit(entry.name, entry.unit)
-        value, scatter = to_display(entry.value, unit), _size(entry.scatter, unit)
-        texts.append(with_error(value, scatter or None))
-    return tuple(texts)
+    units = [comparison.condition_unit(entry.name, entry.unit) for entry in point.beside]
+    return tuple(
+        with_error(to_display(entry.value, unit), _size(entry.scatter, unit) or None)
+        for entry, unit in zip(point.beside, units, strict=True)
+    )
 
 
 def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, ...]:
@@ -255,11 +229,10 @@ def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, 
 
 
 def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
-    """The coefficient at every point with its uncertainty, the scatter of repeats and the theory."""
-    having = _values(matrix.points, name)
+    having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
     unit = matrix.unit_of(name)
     none = "none" if any(value.theory is not None for _, value in having) else ""
-    header = (_title(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
+    header = (titled(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
     rows = tuple(
         (*_levels(matrix, point), *_value_cells(value, unit), _theory(value, unit) or none)
         for point, value in having
@@ -271,7 +244,6 @@ def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
 
 
 def _size(value: float | None, unit: str) -> float | None:
-    """A difference in the display unit."""
     return None if value is None else abs(difference_in(value, unit))
 
 

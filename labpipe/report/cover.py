@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
@@ -116,9 +116,9 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
     """(what, which): rig, dates of the recordings where their conditions give them, conditions, sources,
     version; no clock.
     """
-    rigs = dict.fromkeys(str(result.rig["name"]) for result in identifications if result.rig.get("name"))
     of_sections = [facts for result in identifications for facts in section_facts(result)]
-    rigs |= dict.fromkeys(facts["rig"] for facts in of_sections if "rig" in facts)
+    rigs = [str(result.rig.get("name") or "") for result in identifications]
+    rigs += [facts.get("rig", "") for facts in of_sections]
     tests = [conditions for result in identifications for _, conditions in result.measured_tests]
     dates = sorted({str(value) for test in tests for key, value in test.items() if key.lower() in DATES})
     conditions: dict[str, list[str]] = {}
@@ -128,7 +128,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
                 conditions.setdefault(key, []).append(str(value))
     sources = {source["sha256"] for result in identifications for source in result.sources}
     facts = {
-        "rig": ", ".join(rigs),
+        "rig": _each_once(rigs),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{len(tests)} measured, from {len(sources)} source file(s)" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
@@ -136,12 +136,14 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
             key: few(list(dict.fromkeys(values)), MOST_VALUES)
             for key, values in list(conditions.items())[:MOST_CONDITIONS]
         },
-        "pipeline": ", ".join(
-            dict.fromkeys(result.pipeline for result in identifications if result.pipeline)
-        ),
-        "computed by": ", ".join(dict.fromkeys(f"labpipe {result.version}" for result in identifications)),
+        "pipeline": _each_once(result.pipeline for result in identifications),
+        "computed by": _each_once(f"labpipe {result.version}" for result in identifications),
     }
     return tuple((what, which) for what, which in facts.items() if which)
+
+
+def _each_once(texts: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(filter(None, texts)))
 
 
 def section_facts(identification: Identification) -> list[Mapping[str, str]]:
@@ -181,7 +183,6 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
 
 
 def _response(fit: Fit, fitted: FittedCurve, is_alone: bool) -> Figure:
-    """The measured and the fitted response as with the fit, but lower; of several the amplitude alone."""
     whole = fitted_curve_figure(fit, fitted)
     assert isinstance(whole.graphic, Chart)
     panels = whole.graphic.panels
@@ -204,7 +205,6 @@ def _single_fits(identification: Identification) -> list[Fit]:
 
 
 def _in_print(parameter: Parameter) -> tuple[str, str]:
-    """Value and interval as one writes them, and half the interval relative to the value."""
     if parameter.ci95 is None:
         unit = shown_unit(parameter.unit, parameter.value)
         why = "at the end of its range" if parameter.at_bound else "no interval, see the warnings"

@@ -59,11 +59,8 @@ def phase_degrees(values: ComplexArray) -> FloatArray:
 
 
 def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
-    """Amplitude, phase and residual of measured against fitted FRF.
-
-    The residual with its 95 % band where the covariance is known.
-    """
-    pairs = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
+    """Amplitude, phase and residual of measured against fitted FRF, with the 95 % band of noise."""
+    pairs = list(np.ndindex(fitted.measured.shape[1:]))
     amplitude: list[chart.Series] = []
     phase: list[chart.Series] = []
     residual: list[chart.Series] = []
@@ -112,9 +109,8 @@ def correlation_figure(fit: Fit) -> Figure:
     texts = [[f"{value:.2f}" for value in row] for row in fit.correlation.tolist()]
     side = max(LEAST_SIDE, 0.42 * len(names) + 1.2)
     axis = chart.Axis(ticks=chart.named_ticks(names))
-    graphic = chart.Chart(
-        (chart.Panel(axis, axis, (chart.cells(fit.correlation, texts),)),), size=(side + 0.9, side)
-    )
+    panel = chart.Panel(axis, axis, (chart.cells(fit.correlation, texts),))
+    graphic = chart.Chart((panel,), size=(side + 0.9, side))
     caption = (
         f"{fit_title(fit)}: correlation between the estimates. Near +1 or -1 only one combination of "
         "two parameters is determined."
@@ -122,14 +118,20 @@ def correlation_figure(fit: Fit) -> Figure:
     return Figure(graphic, caption, f"Correlation matrix of fit {fit_title(fit)}")
 
 
-def sliding_names(fits: Sequence[Fit]) -> list[str]:
-    """The stiffness and damping coefficients of sliding fits."""
-    return [p.name for p in fits[0].parameters if p.unit in ("N/m", "N.s/m") and not p.derived]
+def sliding_units(fits: Sequence[Fit]) -> dict[str, str]:
+    """The units of the stiffness and damping coefficients of sliding fits, of which bands may lack some."""
+    every = (parameter for fit in fits for parameter in fit.parameters if not parameter.derived)
+    return {p.name: p.unit for p in every if p.unit in ("N/m", "N.s/m")}
+
+
+def of_bands(fits: Sequence[Fit], name: str) -> list[Parameter | None]:
+    """The coefficient in every band; None where it was eliminated."""
+    return [next((p for p in fit.parameters if p.name == name), None) for fit in fits]
 
 
 def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
     """Every coefficient over the centre of its band with its 95 % interval, then G.o.F over frequency."""
-    groups = [[name for name in sliding_names(fits) if name.startswith(kind)] for kind in ("k", "c")]
+    groups = [[name for name in sliding_units(fits) if name.startswith(kind)] for kind in ("k", "c")]
     return [*(_coefficient_figure(fits, group) for group in groups if group), _goodness_figure(fits)]
 
 
@@ -137,10 +139,10 @@ def sliding_curve(
     fits: Sequence[Fit], parameter: str, label: str, number: int, opacity: float
 ) -> chart.Series:
     """A coefficient over the centres of its bands [Hz] in the unit people read, shaded: 95 % intervals."""
-    amounts = [fit.parameter(parameter) for fit in fits]
-    factor = scale_of(amounts[0].unit)
-    values = factor * np.array([amount.value for amount in amounts])
-    ends = factor * np.array([amount.ci95 or (np.nan, np.nan) for amount in amounts], float)
+    factor, nothing = scale_of(sliding_units(fits)[parameter]), (np.nan, np.nan)
+    amounts = of_bands(fits, parameter)
+    values = factor * np.array([np.nan if amount is None else amount.value for amount in amounts])
+    ends = factor * np.array([nothing if amount is None else amount.ci95 or nothing for amount in amounts])
     centres, (colour, line) = [fit.centre_hz for fit in fits], chart.look(number)
     return chart.curve(
         label, centres, values, colour, line, marker=".", band=(ends[:, 0], ends[:, 1]), opacity=opacity
@@ -149,7 +151,7 @@ def sliding_curve(
 
 def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
     series = [sliding_curve(fits, name, name, number, 0.2) for number, name in enumerate(names)]
-    y = chart.Axis(names[0][0], unit_text(fits[0].parameter(names[0]).unit))
+    y = chart.Axis(names[0][0], unit_text(sliding_units(fits)[names[0]]))
     what = "stiffness" if names[0].startswith("k") else "damping"
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
     alternative = f"{what} of {fit_title(fits[0])} over frequency with 95 % interval"
@@ -180,9 +182,7 @@ def element_names(response: FrequencyResponse) -> list[tuple[int, int, str]]:
 
 
 def response_figure(response: FrequencyResponse) -> Figure:
-    """The measured FRF with its quality: coherence (random data) or signal-to-noise ratio per channel
-    (periodic data).
-    """
+    """The measured FRF with its coherence, or signal-to-noise ratio per channel."""
     name, factor = response.name or "the measurement", form_unit(response.form)[1]
     amplitude = _elements(response, factor * np.abs(response.matrix))
     quality, what = _quality(response)
@@ -193,10 +193,6 @@ def response_figure(response: FrequencyResponse) -> Figure:
 
 
 def _elements(response: FrequencyResponse, values: FloatArray) -> list[chart.Series]:
-    """One curve for every element of (n_frequency, n_output, n_input).
-
-    Of very many the largest, the median and the least.
-    """
     if values[0].size > MOST_CURVES:
         flat, n = values.reshape(values.shape[0], -1), values[0].size
         named = [
@@ -213,9 +209,6 @@ def _elements(response: FrequencyResponse, values: FloatArray) -> list[chart.Ser
 
 
 def _quality(response: FrequencyResponse) -> tuple[chart.Panel | None, str]:
-    """The panel on the quality of the FRF (coherence, standard deviation), None where nothing is known of it,
-    and its description.
-    """
     for title, coherence, what in (
         ("partial coherence", response.partial_coherence, PARTIAL),
         ("coherence", response.coherence, "its coherence"),
@@ -253,27 +246,26 @@ def line_figure(fits: Sequence[Fit]) -> Figure:
 
 def tuning_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Measured amplitude of every term with the model before and after its tuning."""
-    terms = [(o, i) for o in range(len(fitted.outputs)) for i in range(len(fitted.inputs))]
-    panels = [_before_and_after(fitted, o, i) for o, i in terms]
+    panels = [_before_and_after(fitted, o, i) for o, i in np.ndindex(fitted.measured.shape[1:])]
     caption = (
         f"{fit_title(fit)}: measured {fitted.form}, and the model before and after its tuning, one "
         "panel per term."
     )
     alternative = f"Measured {fitted.form} and the model before and after tuning {fit_title(fit)}"
-    return Figure(chart.stack(panels, 0.8 + 1.6 * len(terms)), caption, alternative)
+    return Figure(chart.stack(panels, 0.8 + 1.6 * len(panels)), caption, alternative)
 
 
 def _before_and_after(fitted: FittedCurve, o: int, i: int) -> chart.Panel:
-    """One term: dots measured, dashed before, full after."""
     assert fitted.before is not None
     unit, factor = form_unit(fitted.form)
     lines, after = fitted.drawn
+    measured, before, tuned = (
+        factor * np.abs(values[:, o, i]) for values in (fitted.measured, fitted.before, after)
+    )
     series = (
-        chart.dots("measured", fitted.frequency, factor * np.abs(fitted.measured[:, o, i]), chart.GREY),
-        chart.curve(
-            "before tuning", fitted.frequency, factor * np.abs(fitted.before[:, o, i]), 1, "--", width=1.5
-        ),
-        chart.curve("after tuning", lines, factor * np.abs(after[:, o, i]), width=1.5),
+        chart.dots("measured", fitted.frequency, measured, chart.GREY),
+        chart.curve("before tuning", fitted.frequency, before, 1, "--", width=1.5),
+        chart.curve("after tuning", lines, tuned, width=1.5),
     )
     axis = chart.Axis(f"{fitted.outputs[o]}/{fitted.inputs[i]} {fitted.form}", unit, logarithmic=True)
     return chart.Panel(FREQUENCY, axis, series)
@@ -307,14 +299,11 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         chart.dots("residual", lines, factor * _mean_size(fitted.measured - fitted.fitted), 2, size=1.5),
     ]
     if fitted.variance is not None:
-        series.append(
-            chart.curve("noise", lines, factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2))), 3, "--")
-        )
+        noise = factor * np.sqrt(np.mean(fitted.variance, axis=(1, 2)))
+        series.append(chart.curve("noise", lines, noise, 3, "--"))
     number = len(fitted.outputs) * len(fitted.inputs)
-    caption = (
-        f"{fit_title(fit)}: {fitted.form}, root mean square over all {number} elements: measured, fitted, "
-        "and what is left between them."
-    )
+    what = f"{fitted.form}, root mean square over all {number} elements"
+    caption = f"{fit_title(fit)}: {what}: measured, fitted, and what is left between them."
     graphic = chart.stack([over_frequency(form_axis(fitted.form), series)], 3.6)
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
     return Figure(graphic, caption, f"Root mean square of {matrix} over frequency, with the residual")
@@ -330,7 +319,7 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     residual = np.sum(np.abs(fitted.measured - fitted.fitted) ** 2, axis=0)
     left = residual / np.sum(np.abs(fitted.measured) ** 2, axis=0)
     worst = np.argsort(-left, axis=None)[:WORST]
-    panels = tuple(_element(fitted, *map(int, np.unravel_index(place, left.shape))) for place in worst)
+    panels = tuple(_element(fitted, *divmod(int(place), left.shape[1])) for place in worst)
     graphic = chart.Chart(
         panels, WORST // COLUMNS, COLUMNS, (chart.WIDTH, 0.6 + 1.7 * (WORST // COLUMNS)), "x", "above"
     )
@@ -346,16 +335,14 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
 def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     """Amplitude of every element, measured with two standard deviations (dots, shaded) and fitted (line)."""
     rows, columns = len(fitted.outputs), len(fitted.inputs)
-    panels = tuple(_element(fitted, o, i) for o in range(rows) for i in range(columns))
-    if columns == 1:
+    panels = tuple(_element(fitted, o, i) for o, i in np.ndindex(rows, columns))
+    if min(rows, columns) == 1:
         # One row or column of a matrix, as of a roving test.
-        columns = min(COLUMNS, rows)
+        columns = min(COLUMNS, len(panels))
         rows = -(-len(panels) // columns)
     graphic = chart.Chart(panels, rows, columns, (chart.WIDTH, 0.6 + 1.4 * rows), "xy", "above")
-    caption = (
-        f"{fit_title(fit)}: measured (dots; shaded: two standard deviations) and fitted (lines) "
-        f"{fitted.form}, response/force."
-    )
+    shaded = "" if fitted.variance is None else "; shaded: two standard deviations"
+    caption = f"{fit_title(fit)}: measured (dots{shaded}) and fitted (lines) {fitted.form}, response/force."
     matrix = f"the FRF matrix of fit {fit_title(fit)}"
     return Figure(graphic, caption, f"Amplitude of every element of {matrix} over frequency")
 
@@ -388,11 +375,8 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
         ]
         if parameter.ci95 is not None:
             series.append(chart.span(factor * parameter.ci95[0], factor * parameter.ci95[1], chart.GREY))
-        panels.append(
-            chart.Panel(
-                chart.Axis("repeat"), chart.Axis(parameter.name, unit_text(parameter.unit)), tuple(series)
-            )
-        )
+        y = chart.Axis(parameter.name, unit_text(parameter.unit))
+        panels.append(chart.Panel(chart.Axis("repeat"), y, tuple(series)))
     left_out = f", of {recorded} (the notes name the others)" if used < recorded else ""
     if groups:
         left_out += f", in {groups} groups"
@@ -405,8 +389,6 @@ def repeats_figure(fit: Fit, parameters: Sequence[Parameter]) -> Figure:
     graphic = chart.Chart(tuple(panels), rows, columns, (chart.WIDTH, 2.2 * rows), "x", "none")
     return Figure(graphic, caption, f"Repeats of {fit_title(fit)}")
 
-
-# Mode shapes on the structure: its points and lines, and how each mode moves them.
 
 KIND = "mode-shapes"
 # Modes of one drawing, one row each.
@@ -453,9 +435,7 @@ def project(points: FloatArray, azimuth: float, elevation: float) -> FloatArray:
 
 
 def shape_figures(title: str, modes: Modes) -> list[Figure]:
-    """The shapes on the structure, a few modes in each figure; nothing without a geometry. *title*: of the
-    fit.
-    """
+    """The shapes on the structure, a few modes in each figure of the fit *title*; none without a geometry."""
     if modes.geometry is None:
         return []
     n_mode = modes.frequency.size

@@ -35,7 +35,7 @@ def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
     if not fit.candidates:
         return ()
     if fit.candidates[0].bic is not None:
-        return _by_bic(fit)
+        return _by_bic(fit, fit.candidates[0].bic)
     best = fit.candidates[0].aic
     rows = tuple(
         (
@@ -52,9 +52,7 @@ def candidate_blocks(fit: Fit) -> tuple[Block, ...]:
     return (Table(header, rows, "Which structure the data ask for", (1, 2, 3, 4, 5)), Paragraph(EXPLAINED))
 
 
-def _by_bic(fit: Fit) -> tuple[Block, ...]:
-    """Candidates that are chosen by BIC, with their own chi-square test."""
-    best = fit.candidates[0].bic or 0.0
+def _by_bic(fit: Fit, best: float) -> tuple[Block, ...]:
     rows = tuple(
         (
             candidate.name,
@@ -115,9 +113,7 @@ def _wording(block: Block) -> object:
 
 
 def fit_figures(fit: Fit) -> list[Figure]:
-    """The figures of a single fit: measured and fitted FRF, the repeats that values are means of, correlation
-    of the estimates.
-    """
+    """Measured and fitted FRF, the repeats that values are means of, correlation of the estimates."""
     shown: list[Figure] = []
     if fit.curve is not None:
         many = len(fit.curve.outputs) * len(fit.curve.inputs) > MOST_TOGETHER
@@ -133,7 +129,6 @@ def fit_figures(fit: Fit) -> list[Figure]:
 
 
 def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
-    """Fits that belong together: the bands of a sliding fit, the lines of one calibration."""
     groups: dict[tuple[str, str, str], list[Fit]] = {}
     for fit in fits:
         groups.setdefault((fit.name, fit.term, "" if of_points(fit.model) else fit.test), []).append(fit)
@@ -141,7 +136,6 @@ def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
 
 
 def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:
-    """Heading and blocks of fits that belong together."""
     if of_points(fits[0].model):
         return fits[0].name, _calibration(fits)
     return wording.fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else _single(fits[0])
@@ -169,14 +163,12 @@ def blocks_of_details(fit: Fit) -> list[Block]:
 
 
 def _is_mapped(fit: Fit) -> bool:
-    """Whether the correlation of the estimates is a figure."""
     n = fit.correlation.shape[0]
     entangled = np.any(np.abs(np.triu(fit.correlation, 1)) > ENTANGLED)
     return n > FEW_ESTIMATES or bool(n * (n - 1) / 2 > MOST_PAIRS and entangled)
 
 
 def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
-    """The correlation of a few estimates, in words: of more than four the largest; more stand in a figure."""
     n = fit.correlation.shape[0]
     if n < 2 or _is_mapped(fit) or all(parameter.std_error is None for parameter in fit.parameters):
         return ()
@@ -189,7 +181,6 @@ def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
 
 
 def _description(fit: Fit) -> str:
-    """Model, estimator, band, degrees of freedom and goodness in one paragraph."""
     lines = "samples or lines" if any(detail.in_time for detail in fit.details) else "frequency lines"
     chi2 = ""
     if fit.gof.chi2_reduced is not None:
@@ -210,23 +201,19 @@ def _description(fit: Fit) -> str:
 
 
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
-    """Coefficients over frequency as figures, and as a table."""
-    names = figures.sliding_names(fits)
     units = {
-        name: readable_unit(fits[0].parameter(name).unit, (fit.parameter(name).value for fit in fits))
-        for name in names
+        name: readable_unit(unit, (p.value for p in figures.of_bands(fits, name) if p is not None))
+        for name, unit in figures.sliding_units(fits).items()
     }
-    titles = (
-        f"{name} [{wording.legible(unit)}]" if wording.legible(unit) else name for name, unit in units.items()
-    )
+    titles = (wording.titled(name, unit) for name, unit in units.items())
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
     rows = tuple(_band_row(fit, units) for fit in fits)
     meaning = (
         f"{len(fits)} bands from {fits[0].band_hz[0]:g} to {fits[-1].band_hz[1]:g} Hz; model "
         f"{fits[0].model}, {fits[0].estimator}. Each value belongs to the centre of its band; ± is one "
-        "standard error, n.s.: not significantly different from zero."
+        "standard uncertainty, n.s.: not significantly different from zero."
     )
-    table = Table(header, rows, f"Bands of {wording.fit_title(fits[0])}", tuple(range(1, 3 + len(names))))
+    table = Table(header, rows, f"Bands of {wording.fit_title(fits[0])}", tuple(range(1, 3 + len(units))))
     return (Paragraph(meaning), *figures.sliding_figures(fits), table)
 
 
@@ -241,14 +228,15 @@ def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _with_error(fit: Fit, name: str, unit: str) -> str:
-    parameter = fit.parameter(name)
+    (parameter,) = figures.of_bands([fit], name)
+    if parameter is None:
+        return "eliminated"
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
     mark = " n.s." if wording.significance(parameter, fit.dof) == "n.s." else ""
     return f"{with_error(to_display(parameter.value, unit), error)}{mark}"
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
-    """Straight lines: slope, intercept and linear range of each; without inflation factors."""
     rows = tuple(
         (fit.test or fit.name, *wording.parameter_row(parameter, fit.dof)[:-1])
         for fit in fits

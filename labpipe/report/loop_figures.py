@@ -23,10 +23,7 @@ SMALL_DOT = 2.5
 
 
 def prediction_figures(comparison: Comparison) -> list[Figure]:
-    """k and c of the bands beside the prediction and, below, measured / predicted stiffness.
-
-    Every test in its colour.
-    """
+    """k and c of the bands beside the prediction; below, measured / predicted stiffness."""
     names = list(dict.fromkeys(band.parameter for band in comparison.bands))
     tests = list(dict.fromkeys(band.test for band in comparison.bands))
     ratios = []
@@ -48,10 +45,7 @@ def prediction_figures(comparison: Comparison) -> list[Figure]:
 
 
 def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) -> Panel:
-    """One coefficient of every test beside its prediction.
-
-    The axis shows nine values in ten and all of the prediction.
-    """
+    """One coefficient beside its prediction; the axis shows nine values in ten."""
     series: list[Series] = []
     ends: list[float] = []
     for number, test in enumerate(tests):
@@ -82,7 +76,6 @@ def _of(bands: Sequence[ComparedBand], name: str, test: str) -> list[ComparedBan
 def _coefficient(
     comparison: Comparison, bands: Sequence[ComparedBand], label: str, colour: int, aside: float
 ) -> list[Series]:
-    """The bands of one test, their prediction, and the loop's values at each frequency."""
     factor = scale_of(bands[0].unit)
     centres = np.array([band.centre_hz for band in bands])
     ends = factor * np.array([band.ci95 for band in bands]).T
@@ -100,9 +93,6 @@ def _coefficient(
 
 
 def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int) -> list[Series]:
-    """Stiffness or damping of the loop at each frequency, and with the fitted unknowns where there are
-    any.
-    """
     series = [curve(f"{label}loop", part.frequency, factor * np.array(part.theory), colour, ":", width=0.9)]
     if part.matched:
         values = factor * np.array(part.matched)
@@ -111,10 +101,7 @@ def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int
 
 
 def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Ends (SI) between which nine values in ten and all of the prediction lie.
-
-    The widest intervals reach beyond.
-    """
+    """Ends (SI) between which nine values in ten and all of the prediction lie."""
     values, predicted = np.array([[band.value, band.other] for band in bands]).T
     shown = np.concatenate([np.nanquantile(values, [0.05, 0.95]), predicted])
     margin = 0.25 * float(np.ptp(shown) or np.max(np.abs(shown)) or 1.0)
@@ -122,7 +109,6 @@ def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
 
 
 def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float = 0.0) -> Series:
-    """Measured over predicted of every band with its 95 % interval."""
     values = np.array([band.ratio for band in bands], float)
     ends = np.array([band.ratio_ci95 or (np.nan, np.nan) for band in bands], float).T
     centres = np.array([band.centre_hz for band in bands]) + aside
@@ -130,20 +116,14 @@ def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float 
 
 
 def _ratio_range(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Both ends of an axis of ratios: one stands in the middle.
-
-    Nine bands in ten are within with their intervals.
-    """
+    """Ends of an axis of ratios about one: nine bands in ten are within with their intervals."""
     reach = [max(abs(end - 1) for end in band.ratio_ci95) for band in bands if band.ratio_ci95 is not None]
     size = max(LEAST_RATIO_RANGE, 1.1 * float(np.nanquantile(reach, 0.9))) if reach else 1.0
     return 1 - size, 1 + size
 
 
 def band_figures(comparison: Comparison) -> list[Figure]:
-    """Second test over first for every coefficient, with the interval of the difference.
-
-    Bands that differ stand out.
-    """
+    """Second test over first for every coefficient; bands that differ stand out."""
     by_name: dict[str, list[ComparedBand]] = {}
     for band in comparison.bands:
         by_name.setdefault(band.parameter, []).append(band)
@@ -157,7 +137,6 @@ def band_figures(comparison: Comparison) -> list[Figure]:
 
 
 def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
-    """The ratios of one coefficient, those that differ in another colour."""
     low, high = _ratio_range(bands)
     alike = [band for band in bands if not _differs(comparison, band)]
     different = [band for band in bands if _differs(comparison, band)]
@@ -167,7 +146,6 @@ def _band_panel(comparison: Comparison, bands: Sequence[ComparedBand]) -> Panel:
 
 
 def _differs(comparison: Comparison, band: ComparedBand) -> bool:
-    """Whether the band is among those that are counted as different."""
     count = round(comparison.amount("different").value)
     ordered = sorted(other.p_value for other in comparison.bands if other.p_value is not None)
     return count > 0 and band.p_value is not None and band.p_value <= ordered[count - 1]
@@ -205,7 +183,6 @@ def _measured_size(part: Curve, name: str, colour: int = 0) -> Series:
 
 
 def _sizes(comparison: Comparison, series: Sequence[Series], loop: str, *marks: Series) -> Figure:
-    """Curves of |S| over frequency with the limits of the zones; *marks* above these."""
     zones = [level(limit, line="--", name=f"zone {name} ends") for name, limit in ZONE_LIMITS]
     x = Axis(FREQUENCY.title, FREQUENCY.unit, logarithmic=True)
     panel = Panel(x, Axis("|S|", "1", low=0.0), (*series, *zones, *marks))
@@ -215,7 +192,6 @@ def _sizes(comparison: Comparison, series: Sequence[Series], loop: str, *marks: 
 
 
 def _nyquist(comparison: Comparison) -> Figure:
-    """L of every loop in the complex plane, and the circle |1 + L| = 1/3 that zone A stays out of."""
     real = [part for part in comparison.curves if part.quantity.endswith(" real")]
     imaginary = [part for part in comparison.curves if part.quantity.endswith(" imaginary")]
     series: list[Series] = [

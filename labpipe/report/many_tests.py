@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from labpipe.display import number, unit_label, written
+from labpipe.display import difference_in, number, unit_label, written
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack
+from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, stack
 from labpipe.report.cover import rule_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.wording import few, legible, unit_text
+from labpipe.report.wording import few, legible
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
 
 Points = tuple[FloatArray, FloatArray]
@@ -38,13 +38,15 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     """The values in the order of dates and names, with centre and control limits."""
     there = np.isfinite(columns.values)
     values, unit = _in_unit(columns, columns.values[there])
-    centre, low, high = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
+    ends = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
     x = np.arange(1.0, values.size + 1)
-    lines = (level(float(centre), width=0.9), *(level(float(end), 1, "--", width=1.0) for end in (low, high)))
     drawn, how = _draw(x, values, columns, there)
-    panel = Panel(Axis("tests by date and name"), Axis(columns.parameter, legible(unit)), (*drawn, *lines))
-    meaning = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
-    caption = f"{columns.title} by date and name{how}; {meaning}."
+    panel = Panel(
+        Axis("tests by date and name"),
+        Axis(columns.parameter, legible(unit)),
+        (*drawn, *control_lines(*ends.tolist())),
+    )
+    caption = f"{columns.title} by date and name{how}; {CONTROL}."
     alternative = f"{columns.title} in {values.size} tests, {len(limits.outside)} outside the control limits"
     return Figure(stack([panel], HEIGHT), caption, alternative)
 
@@ -63,18 +65,13 @@ def over_amount(columns: TestColumns, condition: str) -> Figure:
 
 
 def _in_unit(columns: TestColumns, values: FloatArray) -> tuple[FloatArray, str]:
-    """Values (n,) [SI] in the unit that suits them all."""
-    unit = readable_unit(columns.unit, columns.values) if columns.unit != "1" else unit_text("1")
-    return (np.array([to_display(value, unit) for value in values]) if unit else values), unit
+    unit = readable_unit(columns.unit, columns.values)
+    return np.array([to_display(value, unit) for value in values]), unit
 
 
 def _draw(
     x: FloatArray, values: FloatArray, columns: TestColumns, there: NDArray[np.bool_]
 ) -> tuple[tuple[Series, ...], str]:
-    """Points with their intervals, or of more tests the median and bands of groups.
-
-    And how the caption says it.
-    """
     if values.size <= MOST_POINTS:
         low, high = (_in_unit(columns, end[there])[0] for end in (columns.low, columns.high))
         return (dots("tests", x, values, size=3.0, bars=(low, high)),), ", with 95 % intervals"
@@ -86,7 +83,7 @@ def _draw(
     beyond = _furthest(x[order], values[order], groups, below, above)
     outer = curve("95 % of the tests", middle, median, 0, "", band=(below, above), opacity=0.15)
     inner = curve(
-        "median and half of the tests", middle, median, 0, band=(lower, upper), marker=".", opacity=0.3
+        "median and half of the tests", middle, median, band=(lower, upper), marker=".", opacity=0.3
     )
     return (outer, inner, dots("beyond", *beyond, 1, size=3.0)), f", {BANDS}"
 
@@ -162,7 +159,6 @@ def _cover(
 
 
 def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block, ...]:
-    """Whether all tests were evaluated and every rule holds for each of them."""
     blocks: list[Block] = []
     outcomes, n = identification.outcomes, index.tests
     if index.failed:
@@ -185,14 +181,12 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
 
 
 def _findings(index: DatasetIndex) -> tuple[Block, ...]:
-    """Each kind of warning once, with the number of tests that have it; then the kinds of notes."""
     warnings = [Paragraph(counted.message, "warning") for counted in index.of_level()]
     notes = [Paragraph(counted.message, "note") for counted in index.of_level(NOTE)]
     return (*(warnings or [Paragraph("None in any test.", "passed")]), *notes)
 
 
 def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
-    """The tests that failed and those that were not accepted, by name."""
     sections = []
     for heading, named, count, why in (
         ("Tests that could not be evaluated", tests.failed, index.failed, "why"),
@@ -207,7 +201,6 @@ def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
 
 
 def _coefficients(parameters: Sequence[TestColumns]) -> Table:
-    """Centre, scatter and extremes of every coefficient."""
     caption = (
         "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
         "which outliers do not widen"
@@ -216,9 +209,7 @@ def _coefficients(parameters: Sequence[TestColumns]) -> Table:
 
 
 def _row(columns: TestColumns) -> tuple[str, ...]:
-    unit = readable_unit(columns.unit, columns.values)
-    values = np.array([to_display(value, unit) for value in columns.values])
-    scale = to_display(1.0, unit) - to_display(0.0, unit)
+    values, unit = _in_unit(columns, columns.values)
     there = np.flatnonzero(np.isfinite(values))
     if not there.size:
         return (columns.title, unit_label(unit), "0", *("" for _ in range(7)))
@@ -229,7 +220,7 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
         middle, scatter or None, float(values[least]), float(values[largest])
     )
     errors = columns.errors[np.isfinite(columns.errors)]
-    error = number(float(np.median(errors)) * scale, 2) if errors.size else ""
+    error = number(difference_in(float(np.median(errors)), unit), 2) if errors.size else ""
     ends = (low, columns.tests[least], high, columns.tests[largest])
     return (columns.title, unit_label(unit), str(there.size), middle_text, scatter_text, error, *ends)
 
@@ -242,17 +233,15 @@ def _left_out(parameters: Sequence[TestColumns]) -> tuple[Block, ...]:
 
 
 def _blocks(columns: TestColumns) -> tuple[Block, ...]:
-    """The coefficient over the tests by date with its control limits, and over every condition that
-    differs.
-    """
     there = np.isfinite(columns.values)
-    if np.sum(there) < FEWEST:
-        return (Paragraph(f"{int(np.sum(there))} value(s); figures need {FEWEST}.", "note"),)
+    n = int(np.sum(there))
+    if n < FEWEST:
+        return (Paragraph(f"{n} value(s); figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
     which = "No value lies outside"
     if outside:
-        which = f"{len(outside)} of {len(columns.tests)} values lie outside: {few(outside, MOST_OUTSIDE)}"
+        which = f"{len(outside)} of {n} values lie outside: {few(outside, MOST_OUTSIDE)}"
     control = f"{CHART}: {which}. The limits suppose that all tests are of one condition."
     differing = (
         name

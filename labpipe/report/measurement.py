@@ -32,9 +32,7 @@ PANEL_HEIGHT = 1.9
 
 
 def channel_blocks(spectra: ChannelSpectra) -> tuple[Block, ...]:
-    """A sentence, a table of the channels, their amplitudes and noise over frequency, and orbits where a
-    plane has two displacements.
-    """
+    """A sentence, a table of the channels, their amplitudes and noise, and orbits of planes."""
     name = spectra.name or "Measurement"
     low, high = spectra.frequency[[0, -1]]
     runs = ", ".join(spectra.runs)
@@ -45,6 +43,10 @@ def channel_blocks(spectra: ChannelSpectra) -> tuple[Block, ...]:
     if np.isfinite(spectra.covariance_dof):
         facts += f" Their noise is known with {spectra.covariance_dof:.4g} degrees of freedom."
     return (Paragraph(facts), _table(spectra), amplitude_figure(spectra), *_orbit_figures(spectra))
+
+
+def _of(measured: FrequencyResponse | ChannelSpectra) -> str:
+    return measured.name or "the measurement"
 
 
 def noise_of(spectra: ChannelSpectra) -> FloatArray:
@@ -65,7 +67,7 @@ def _table(spectra: ChannelSpectra) -> Table:
         sizes = f"{factor * rms:.4g}", f"{factor * deviation:.3g}", ratio
         rows.append((channel.name, made, channel.dof, *sizes, unit_text(channel.unit)))
     header = ("channel", "role", "direction", "rms", "noise of a line", "signal over noise", "unit")
-    caption = f"Channels of {spectra.name or 'the measurement'}: rms over the lines of the strongest run"
+    caption = f"Channels of {_of(spectra)}: rms over the lines of the strongest run"
     return Table(header, tuple(rows), caption, (3, 4, 5))
 
 
@@ -81,11 +83,9 @@ def amplitude_figure(spectra: ChannelSpectra) -> Figure:
             for row in _series(spectra, noise, number, column)
         ]
         panels.append(over_frequency(chart.Axis(quantity, unit_text(unit), logarithmic=True), series))
-    name = spectra.name or "the measurement"
-    caption = (
-        f"Amplitudes of all channels of {name} at the excited lines, every run as points, and their "
-        "noise as lines."
-    )
+    name = _of(spectra)
+    what = "at the excited lines, every run as points, and their noise as lines"
+    caption = f"Amplitudes of all channels of {name} {what}."
     graphic = chart.stack(panels, PANEL_HEIGHT * len(panels) + 0.6)
     return Figure(graphic, caption, f"Amplitudes and noise of the channels of {name}")
 
@@ -102,7 +102,6 @@ def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int
 
 
 def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
-    """Half axes of the orbits of displacements in two directions of one plane."""
     outputs = spectra.columns("displacement", "output")
     ports = [
         Port(channel.name, channel.name, channel.dof, channel.angle)
@@ -116,17 +115,14 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
         series = []
         for run, label in enumerate(spectra.runs):
             colour = run % chart.PALETTE_SIZE
+            turned = factor * minor[:, run]
             series.append(chart.dots(f"{label} major", x, factor * major[:, run], colour, size=2.5))
-            series.append(
-                chart.dots(f"{label} minor", x, factor * minor[:, run], colour, marker="v", size=2.0)
-            )
+            series.append(chart.dots(f"{label} minor", x, turned, colour, marker="v", size=2.0))
         names = " and ".join(spectra.channels[number].name for number in pair)
-        caption = (
-            f"Half axes of the orbits of {names} in every run at each line; a negative minor axis "
-            "turns backward, from y to x."
-        )
+        sense = "a negative minor axis turns backward, from y to x"
+        caption = f"Half axes of the orbits of {names} in every run at each line; {sense}."
         graphic = chart.stack([over_frequency(chart.Axis("half axis", unit), series)], 2.8)
-        alternative = f"Half axes of the orbits of {names} of {spectra.name or 'the measurement'}"
+        alternative = f"Half axes of the orbits of {names} of {_of(spectra)}"
         yield Figure(graphic, caption, alternative)
 
 
@@ -134,11 +130,11 @@ def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Major and signed minor half axis (...) [m] of the ellipse Re(m e^{jwt}), *motion* (..., 2) [m] along x
     and y.
 
-    With forward f = (x - j y) / 2 and backward b = (x + j y) / 2: |f| + |b| and |f| - |b|, which is negative
+    With forward f = (x + j y) / 2 and backward b = (x - j y) / 2: |f| + |b| and |f| - |b|, which is negative
     for backward orbits.
     """
-    plus, minus = (np.abs(motion[..., 0] + sign * motion[..., 1]) / 2 for sign in (1j, -1j))
-    return plus + minus, minus - plus
+    forward, backward = np.moveaxis(np.abs(motion @ np.linalg.inv(FROM_DIRECTIONAL).T), -1, 0)
+    return forward + backward, forward - backward
 
 
 TURNS = {"f": "forward", "b": "backward"}
@@ -148,10 +144,7 @@ ARROW = (8, 12)
 
 
 def spectral_blocks(response: FrequencyResponse) -> tuple[Block, ...]:
-    """What is shown below the FRF itself: of a directional response its two sides and orbits.
-
-    Distortion where it was measured.
-    """
+    """What is shown below an FRF: two sides and orbits of a directional one, loops, distortion."""
     blocks: list[Block] = []
     if tuple(port.label for port in (*response.outputs, *response.inputs)) == 2 * FORWARD_BACKWARD:
         peaks = resonances(response)
@@ -193,7 +186,7 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
         chart.Panel(TWO_SIDED, PHASE, tuple(phase), share=2.0),
     )
     marked = "; circles: resonance and half-power points" if peaks else ""
-    name = response.name or "the measurement"
+    name = _of(response)
     caption = (
         f"Two-sided {response.form} of {name}: forward response to forward (f/f) and backward (f/b) "
         f"force{marked}."
@@ -203,7 +196,6 @@ def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -
 
 
 def _mark(peak: HalfPower, factor: float, sign: int) -> chart.Series:
-    """Rings at the resonance and its half-power points."""
     frequency = sign * np.array([peak.low, peak.frequency, peak.high])
     amplitude = factor * peak.amplitude * np.array([1, np.sqrt(2), 1]) / np.sqrt(2)
     return chart.dots(
@@ -220,9 +212,7 @@ def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) 
             f"H_{label}{label} ({TURNS[label]})",
             f"{peak.frequency:.2f}",
             f"{factor * peak.amplitude:.4g}",
-            f"{peak.low:.2f}",
-            f"{peak.high:.2f}",
-            f"{100 * peak.damping_ratio:.2f}",
+            *(f"{number:.2f}" for number in (peak.low, peak.high, 100 * peak.damping_ratio)),
         )
         for label, peak in peaks.items()
     )
@@ -232,11 +222,9 @@ def _half_power_table(response: FrequencyResponse, peaks: dict[str, HalfPower]) 
 
 
 def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Figure:
-    """Orbits (x, y) under a force of 1 N turning forward, and backward, at resonance and at the half-power
-    points.
-    """
+    """Orbits (x, y) under a force of 1 N turning either way, at resonance and half power."""
     panels = tuple(_orbits(response, label, peak) for label, peak in peaks.items())
-    name = response.name or "the measurement"
+    name = _of(response)
     caption = (
         f"Orbits of {name} under a turning force of 1 N; the dot is where the force points along x, "
         "the arrow the sense of rotation."
@@ -246,20 +234,14 @@ def orbit_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Fi
 
 
 def _orbits(response: FrequencyResponse, label: str, peak: HalfPower) -> chart.Panel:
-    """The orbits under a force that turns one way."""
     unit, factor = form_unit(response.form)
     column, series = FORWARD_BACKWARD.index(label), []
     for number, frequency in enumerate((peak.low, peak.frequency, peak.high)):
         line = int(np.argmin(np.abs(response.frequency - frequency)))
         path = factor * orbit(response.matrix[line, :, column])
         series += _orbit(path, f"{response.frequency[line]:.4g} Hz", number)
-    return chart.Panel(
-        chart.Axis("x", unit),
-        chart.Axis("y", unit),
-        tuple(series),
-        f"force turning {TURNS[label]}",
-        equal=True,
-    )
+    x, y = (chart.Axis(name, unit) for name in "xy")
+    return chart.Panel(x, y, tuple(series), f"force turning {TURNS[label]}", equal=True)
 
 
 def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
@@ -271,7 +253,6 @@ def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
 
 
 def _orbit(path: FloatArray, name: str, colour: int) -> list[chart.Series]:
-    """An orbit (2, n) with a dot at its first point and an arrow along it."""
     tail, head = path[:, ARROW[0]], path[:, ARROW[1]]
     first = chart.dots(name, path[0, :1], path[1, :1], colour, marker="o", size=4.0)
     return [chart.curve(name, path[0], path[1], colour, width=1.2), first, chart.arrow(tail, head, colour)]
@@ -288,16 +269,16 @@ def open_loop_figure(response: FrequencyResponse, open_loop: ComplexArray) -> Fi
         for title, line, h in ((name, "-", response.matrix), (f"{name} H1, biased", ":", open_loop)):
             amplitude.append(chart.curve(title, x, factor * np.abs(h[:, o, i]), colour, line))
             # Lines would jump from -180 to 180 deg and hide each other.
-            points = chart.dots(title, x, phase_degrees(h[:, o, i]), colour, size=1.5, hollow=line == ":")
-            phase.append(points)
-    name = response.name or "the measurement"
+            turned = phase_degrees(h[:, o, i])
+            phase.append(chart.dots(title, x, turned, colour, size=1.5, hollow=line == ":"))
+    name = _of(response)
     caption = (
-        f"{response.form} of {name} by what is injected into the loop (lines), and H1 (dotted), which takes "
-        "the loop as open: a biased estimate, shown as what it is and used for nothing."
+        f"{response.form.capitalize()} of {name} by what is injected into the loop (lines), and H1 (dotted), "
+        "which takes the loop as open: a biased estimate, shown as what it is and used for nothing."
     )
     panels = (over_frequency(form_axis(response.form), amplitude, 3.0), over_frequency(PHASE, phase, 2.0))
     alternative = f"FRF by the reference and H1 of {name} over frequency"
-    return Figure(chart.stack(panels, 4.8), caption[0].upper() + caption[1:], alternative)
+    return Figure(chart.stack(panels, 4.8), caption, alternative)
 
 
 def distortion_figure(response: FrequencyResponse) -> Figure:
@@ -314,13 +295,13 @@ def distortion_figure(response: FrequencyResponse) -> Figure:
         for number, (o, i, name) in enumerate(element_names(response))
         for values, line, what in parts
     ]
-    name = response.name or "the measurement"
+    name = _of(response)
     caption = (
-        f"{response.form} of {name} averaged over realisations of the phases, and the two parts of its "
-        "standard deviation: distortion above noise means that the rig left its linear range."
+        f"{response.form.capitalize()} of {name} averaged over realisations of the phases, and the two parts "
+        "of its standard deviation: distortion above noise means that the rig left its linear range."
     )
     graphic = chart.stack([over_frequency(form_axis(response.form), series)], 3.4)
-    return Figure(graphic, caption[0].upper() + caption[1:], f"Distortion and noise of {name} over frequency")
+    return Figure(graphic, caption, f"Distortion and noise of {name} over frequency")
 
 
 def _positive(values: FloatArray) -> FloatArray:
@@ -339,8 +320,9 @@ def _measurement(identification: Identification) -> tuple[Block, ...]:
     for response in identification.responses:
         sides = "responses x bases" if response.form == "transmissibility" else "responses x forces"
         size = f"{len(response.outputs)} x {len(response.inputs)} ({sides}), {response.n_frequency} lines"
-        averages = f"{response.averages:.4g} effective averages"
-        blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}, {averages}."))
+        # One is also that of a file that states none.
+        averages = f", {response.averages:.4g} effective averages" if response.averages > 1 else ""
+        blocks.append(Paragraph(f"{response.name or 'Measurement'}: {response.form}, {size}{averages}."))
         blocks.append(figures.response_figure(response))
         blocks.extend(spectral_blocks(response))
     for spectra in identification.spectra:

@@ -36,6 +36,11 @@ def legible(unit: str) -> str:
     return unit_label(unit).replace("N.s/m", "N s/m")
 
 
+def titled(name: str, unit: str) -> str:
+    """A name with its unit, if any, as the head of a column."""
+    return f"{name} [{legible(unit)}]" if legible(unit) else name
+
+
 def rounded(value: float, std_error: float | None) -> str:
     """A value to the place that its standard error supports."""
     return written(value, std_error)[0]
@@ -90,27 +95,21 @@ def band_text(fit: Fit) -> str:
 
 def threshold_text(threshold: StudyThreshold, share: float) -> str:
     """The noise level at which a fit's success ends, as a sentence."""
-    what = (
-        f"{threshold.fit}: within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the "
-        "repeats"
-    )
+    within = f"within {100 * threshold.limit:g} % of the truth in {100 * share:g} % of the repeats"
+    what = f"{threshold.fit}: {within}"
     if threshold.noise is None:
         return f"{what}: no such noise level in the range searched"
     return f"{what} up to a noise of {100 * threshold.noise:.3g} %"
 
 
 def entangled_text(fit: Fit) -> list[str]:
-    """Sentences on parameters that the data hardly tell apart: large variance inflation, near-singular
-    correlation of the estimates.
-    """
+    """Sentences on parameters that the data hardly tell apart."""
     sentences = []
     large = [(p.name, p.vif) for p in fit.parameters if p.vif is not None and p.vif >= LARGE_VIF]
     if large:
         listed = ", ".join(f"{name} ({vif:.3g} times)" for name, vif in large)
-        sentences.append(
-            "Large variance inflation (VIF): the variance is many times what it would be by "
-            f"itself for {listed}."
-        )
+        what = "the variance is many times what it would be by itself"
+        sentences.append(f"Large variance inflation (VIF): {what} for {listed}.")
     names = [parameter.name for parameter in fit.parameters if not parameter.derived]
     n = min(len(names), fit.correlation.shape[0])
     pairs = [(names[i], names[j], float(fit.correlation[i, j])) for j in range(n) for i in range(j)]
@@ -136,10 +135,7 @@ def _beyond_noise(parameter: Parameter) -> float:
 
 
 def interval_text(fit: Fit) -> str:
-    """Sentences on intervals that are wider than those of noise, or missing, and why.
-
-    Empty where noise is all.
-    """
+    """Sentences on intervals that are wider than those of noise, or missing, and why; empty for none."""
     mismatch = any(finding.code == "model-mismatch" for finding in fit.findings)
     if mismatch and fit.converged and all(p.ci95 is None for p in fit.parameters):
         return (

@@ -46,21 +46,29 @@ def receptance(
 ) -> ComplexArray:
     """H = (K + j w C - w^2 M)^-1 at *frequency* (n_line,) [Hz], of the shape of `dynamic_stiffness` [m/N].
 
-    Equation (sim-mdof).
+    ConfigError where Z has no inverse. Equation (sim-mdof).
     """
     z = dynamic_stiffness(mass, stiffness, damping, 2 * np.pi * frequency)
-    return np.asarray(1 / z if z.ndim == 1 else np.linalg.inv(z))
+    try:
+        return np.asarray(1 / z if z.ndim == 1 else np.linalg.inv(z))
+    except np.linalg.LinAlgError:
+        hint = "as of a free body at 0 Hz, or without damping at a natural frequency"
+        raise ConfigError("the response is infinite at a frequency line", hint=hint) from None
 
 
 def white_noise(
     band: tuple[float, float], rms: float, n_sample: int, sample_rate: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Normal white noise in *band* [Hz] without its mean, periodic in its (n_sample,) samples, of this
-    *rms*.
+    """Normal white noise in *band* [Hz] without its mean, periodic in its (n_sample,) samples, of this *rms*;
+    ConfigError for a band between two lines.
     """
     spectrum = fft.rfft(rng.standard_normal(n_sample))
     frequency = fft.rfftfreq(n_sample, 1 / sample_rate)
-    spectrum[(frequency < band[0]) | (frequency > band[1]) | (frequency == 0)] = 0.0
+    outside = (frequency < band[0]) | (frequency > band[1]) | (frequency == 0)
+    if np.all(outside):
+        what = f"no line of a run of {n_sample / sample_rate:g} s lies in {band[0]:g}-{band[1]:g} Hz"
+        raise ConfigError(what, hint="widen the band, or make the run longer")
+    spectrum[outside] = 0.0
     white = fft.irfft(spectrum, n_sample)
     return np.asarray(white * (rms / np.std(white)))
 
@@ -142,9 +150,6 @@ def pulses(angle: FloatArray) -> FloatArray:
     return np.where(angle / (2 * np.pi) % 1.0 < PULSE_SHARE, PULSE, 0.0)
 
 
-# One mass on a table that shakes, or under swept sines.
-
-
 class OneMass(Settings):
     """A mass on a spring and a damper, excited in a band."""
 
@@ -155,8 +160,11 @@ class OneMass(Settings):
     duration: float
     sample_rate: float
 
-    def check_band(self) -> None:
-        """ConfigError for a band that the length of a run or the sampling rate does not hold."""
+    def check(self, *positive: str) -> None:
+        """ConfigError for one of the numbers that is not positive, and for a band that the length of a run or
+        the sampling rate does not hold.
+        """
+        self.require_positive("mass", "stiffness", "damping", "duration", "sample_rate", *positive)
         lowest, highest = 1 / self.duration, self.sample_rate / 2
         if not lowest <= self.band[0] < self.band[1] < highest:
             what = f"band must lie between {lowest:g} Hz, a period in a run, and {highest:g} Hz"
@@ -172,10 +180,9 @@ class OneMass(Settings):
         return receptance(self.mass, self.stiffness, self.damping, frequency)
 
     def from_rest(self, n_sample: int) -> tuple[int, FloatArray]:
-        """`lines_of` a run that is followed until only DIED_OUT is left of what was moving, for -2 m / c ln
-        DIED_OUT.
+        """`lines_of` a run, (n_line,) [Hz], that is followed until only DIED_OUT is left of what was moving.
 
-        The length of the transform [samples], and the angular frequencies (n_line,) [rad/s].
+        For -2 m / c ln DIED_OUT.
         """
         return lines_of(n_sample, self.sample_rate, float(-np.log(DIED_OUT) * 2 * self.mass / self.damping))
 
@@ -211,18 +218,14 @@ class BaseRig(OneMass):
     noise: BaseNoise = setting("section", "measuring noise", section=BaseNoise, default=BaseNoise())
 
     def __post_init__(self) -> None:
-        self.require_positive("mass", "stiffness", "damping", "acceleration", "sample_rate", "duration")
-        self.check_band()
+        self.check("acceleration")
         if not 0 <= self.pause < self.duration:
             raise SettingError("pause", "pause must lie between 0 and the length of a run")
 
 
 @dataclass(frozen=True)
 class SweepRig(OneMass):
-    """m y'' + c y' + k y = f from rest; f a sweep with constant amplitude, then a pause.
-
-    White noise on force and probe.
-    """
+    """m y'' + c y' + k y = f from rest; f a sweep with constant amplitude, then a pause."""
 
     kind: str = setting("choice", "which virtual rig", choices=("virtual-sweep-rig",))
     mass: float = quantity("mass that moves", "kg")
@@ -239,9 +242,8 @@ class SweepRig(OneMass):
     sample_rate: float = quantity("sampling rate", "Hz", 512.0)
 
     def __post_init__(self) -> None:
-        self.require_positive("mass", "stiffness", "damping", "force", "duration", "sample_rate")
+        self.check("force")
         self.require_not_negative("pause", "noise", "force_noise")
-        self.check_band()
 
 
 # Measured is the acceleration of the mass, or its displacement relative to the table.
@@ -262,13 +264,14 @@ def _base_run(rig: BaseRig, name: str, rng: np.random.Generator) -> Recording:
     """Acceleration *base* of the table and *mass* [m/s^2], or *gap* between them [m]: -m H of the
     acceleration, at 0 Hz too.
     """
-    n_sample, swept, level = round(rig.duration * rig.sample_rate), name == "sweep", rig.noise
-    if swept:
+    n_sample, level = round(rig.duration * rig.sample_rate), rig.noise
+    if name == "sweep":
         sweep = Sweep(rig.band, rig.duration - rig.pause, rig.acceleration, "logarithmic", "up", rig.pause)
         base = sweep.samples(rig.sample_rate, 1)
+        length, lines = rig.from_rest(base.size)
     else:
         base = white_noise(rig.band, rig.acceleration, n_sample, rig.sample_rate, rng)
-    length, lines = rig.from_rest(base.size) if swept else lines_of(base.size, rig.sample_rate)
+        length, lines = lines_of(base.size, rig.sample_rate)
     table = Channel("base", "acceleration", "input", "z")
     if name == "relative":
         moved = response(-rig.mass * rig.receptance(lines), base, length)
@@ -286,7 +289,6 @@ PRETRIGGER = 0.5
 
 
 def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
-    """Force f [N] and displacement y [m] with noise."""
     law, direction, count = SWEEP_RUNS[name]
     sweep = Sweep(rig.band, rig.duration / (1 if count == 1 else 2), rig.force, law, direction, rig.pause)
     before = np.zeros(round(PRETRIGGER * rig.sample_rate))
@@ -303,8 +305,6 @@ def check_matrices(rig: Any, n: int, *names: str) -> None:
         if np.shape(getattr(rig, name)) != (n, n):
             raise SettingError(name, f"{name} is not a {n} x {n} matrix")
 
-
-# A rotor in an anisotropic support under a white-noise force, along x in one run and along y in the other.
 
 SHAKEN_RUNS = {"along-x": "x", "along-y": "y"}
 
@@ -372,7 +372,6 @@ class WhiteNoiseRig(Settings):
 
 
 def _shaken_run(rig: WhiteNoiseRig, name: str, rng: np.random.Generator) -> Recording:
-    """Force f, displacements x and y [SI]."""
     axis = SHAKEN_RUNS[name]
     force = white_noise((0.0, rig.bandwidth), rig.force, rig.n_sample, rig.sample_rate, rng)
     at_lines = rig.receptance(fft.rfftfreq(rig.n_sample, 1 / rig.sample_rate))[:, :, "xy".index(axis)]
@@ -405,9 +404,6 @@ def shaken_rotor(
     motion = fft.irfft(spectrum[:, None] * at_lines, rig.n_sample, axis=0) + synchronous
     noise = [rig.noise.force, *[rig.noise.displacement] * 2]
     return sense(name, channels, [fft.irfft(spectrum, rig.n_sample), *motion.T], noise, rig.sample_rate, rng)
-
-
-# Masses, springs and dampers whose FRF is given directly, with noise of known size on it.
 
 
 @dataclass(frozen=True)
@@ -491,14 +487,12 @@ BASE_RIG = virtual_rigs.kind_of_recordings(
     runs=lambda _rig: BASE_RUNS,
     record=_base_run,
     logged=lambda run: virtual_rigs.whole_numbers(run, steps={"base": 1, "mass": 10, "gap": 100}),
-    truth=lambda rig: rig.truth,
 )
 SWEEP_RIG = virtual_rigs.kind_of_recordings(
     SweepRig,
     runs=lambda _rig: tuple(SWEEP_RUNS),
     record=_sweep_run,
     logged=lambda run: virtual_rigs.whole_numbers(run, steps={"f": 10, "y": 100}),
-    truth=lambda rig: rig.truth,
     noisy=lambda rig, level: replace(rig, noise=level * rig.noise, force_noise=level * rig.force_noise),
 )
 WHITE_NOISE_RIG = virtual_rigs.kind_of_recordings(
@@ -506,7 +500,6 @@ WHITE_NOISE_RIG = virtual_rigs.kind_of_recordings(
     runs=lambda _rig: tuple(SHAKEN_RUNS),
     record=_shaken_run,
     logged=virtual_rigs.force_and_displacements,
-    truth=lambda rig: rig.truth,
 )
 MDOF_RIG = virtual_rigs.VirtualRigKind(
     settings=VirtualMdofRig,

@@ -7,6 +7,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -141,13 +142,11 @@ def kind_of_recordings(
     *,
     record: Callable[[Any, str, np.random.Generator], Recording],
     logged: Callable[[Recording], LoggedTable],
-    truth: Callable[[Any], Mapping[str, Any]],
+    truth: Callable[[Any], Mapping[str, Any]] = attrgetter("truth"),
     **others: Any,
 ) -> VirtualRigKind:
     """A kind whose runs are recordings: *record* makes a run by name, *logged* its file; *others* as of
-    VirtualRigKind.
-
-    The parameters are the *truth* unless they are given.
+    VirtualRigKind. The parameters are the *truth* unless they are given.
     """
 
     def made(rig: Any, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
@@ -177,10 +176,13 @@ def kind_of_tests(
 
     def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
         runs = tests(rig, seed, names)
-        files = {run.name: LoggedTable(run.table, text=True) for run in runs if run.table is not None}
-        files |= {run.name: logged(run.recording) for run in runs if run.recording is not None}
-        truth = {run.name: run.truth for run in runs}
-        return Simulation({run.name: files[run.name] for run in runs}, {"runs": truth})
+        files = {
+            run.name: LoggedTable(run.table or {}, text=True)
+            if run.recording is None
+            else logged(run.recording)
+            for run in runs
+        }
+        return Simulation(files, {"runs": {run.name: run.truth for run in runs}})
 
     return VirtualRigKind(settings=settings, simulate=simulated, recordings=recordings_of, **others)
 

@@ -105,3 +105,23 @@ def test_the_tab_key_offers_commands_and_options() -> None:
 def test_an_unknown_shell_is_refused(labpipe) -> None:
     ended = labpipe("completion", "tcsh")
     assert ended.code == 2 and "tcsh" in ended.err
+
+
+def test_a_package_that_fails_in_its_own_way_is_named(labpipe, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one built for another numpy does."""
+    from labpipe.cli.help import doctor
+
+    def importing(name: str) -> object:
+        raise ValueError("numpy.dtype size changed")
+
+    monkeypatch.setattr("importlib.import_module", importing)
+    assert doctor.callback is not None and doctor.callback() == 2
+
+
+def test_doctor_looks_at_the_packages_of_every_extra(root: Path) -> None:
+    """But for those of the tests and pages, and what another extra holds."""
+    from labpipe.cli.help import OPTIONAL
+
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    texts = [text for extra in extras.keys() - {"docs", "test", "networks"} for text in extras[extra]]
+    assert {re.match(r"[\w.-]+", text)[0] for text in texts} == set(OPTIONAL)

@@ -21,6 +21,7 @@ from labpipe.records.identification import (
     Fit,
     Goodness,
     Identification,
+    RuleOutcome,
 )
 
 
@@ -165,3 +166,13 @@ def test_a_warning_of_a_library_is_one_line(
     monkeypatch.setattr(group, "main", warned)
     monkeypatch.setattr("warnings.showwarning", None)
     assert run_command([]) == 1 and capsys.readouterr().err == f"{line}\n"
+
+
+def test_quiet_leaves_warnings_and_rules_that_fail(capsys: pytest.CaptureFixture[str]) -> None:
+    """As the help of -q says."""
+    findings = (Finding("drift", "k fell"), Finding("n", "so it is", NOTE))
+    rules = tuple(RuleOutcome("accept", f"axial.k >= {n}", 1.0, n < 1) for n in range(2))
+    echo_identification(Identification((a_fit(0, findings),), outcomes=rules), quiet=True)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "  warning drift: k fell" and lines[1].startswith("  accept: axial.k >= 1: FAILED")
+    assert len(lines) == 2

@@ -572,7 +572,7 @@ def test_an_archive_elsewhere_is_refused(labpipe: Command) -> None:
     ended = labpipe("verify", "s3://bench/a.zip")
     assert (
         ended.code == 2
-        and ("s3://bench/a.zip: is an archive elsewhere, and is read from this machine only; copy it here")
+        and ("s3://bench/a.zip: is elsewhere; archives and signatures are verified here only; copy it here")
         in ended.err
     )
 

@@ -8,19 +8,22 @@ import numpy as np
 import pytest
 
 from labpipe.records.finding import Parameter
-from labpipe.records.identification import Fit, FittedCurve, Goodness
+from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report.chart import Drawing, Panel, Series
+from labpipe.report.document import Table
 from labpipe.report.figures import (
     VIEWS,
     correlation_figure,
     fitted_curve_figure,
     form_unit,
     line_figure,
+    matrix_figure,
     project,
     response_figure,
     sliding_figures,
 )
+from labpipe.report.fits import fit_sections
 
 FREQUENCY = np.array([10.0, 20.0, 30.0])
 MATRIX = np.array([1.0, 2j, -4.0])[:, None, None] * 1e-6
@@ -204,3 +207,32 @@ def test_views_of_a_structure_are_turned_and_not_stretched() -> None:
         np.testing.assert_allclose([across @ across, up @ up, across @ up], [1, 1, 0], atol=1e-12)
     front, top = (project(np.array([[1.0, 2.0, 3.0]]), *view[1:])[0] for view in VIEWS[1:])
     assert front == pytest.approx([1, 3]) and top == pytest.approx([1, 2])
+
+
+@pytest.mark.parametrize("along", [1, 2], ids=["outputs", "inputs"])
+def test_elements_of_one_row_or_column_stand_in_rows_of_three(along: int) -> None:
+    """Five responses to one force, or one to a hammer at five points: none is a fifth of a page wide."""
+    names = tuple("abcde")
+    shape = {"outputs": names} if along == 1 else {"inputs": names}
+    many = replace(
+        CURVE, measured=np.repeat(MATRIX, 5, along), fitted=np.repeat(MATRIX, 5, along), variance=None
+    )
+    figure = matrix_figure(FIT, replace(many, **shape))
+    assert (figure.graphic.rows, figure.graphic.columns) == (2, 3)
+    assert "(dots) and fitted" in figure.caption
+
+
+def test_a_coefficient_that_bands_lack_has_gaps_there() -> None:
+    """With `eliminate: true` the first band has dropped c and the second k."""
+    bands = (replace(FIT, parameters=(K,)), replace(FIT, parameters=(C,), band_hz=(20.0, 40.0)))
+    stiffness, damping = (named(figure.graphic.panels[0]) for figure in sliding_figures(bands)[:2])
+    np.testing.assert_array_equal(stiffness["k"].y, [45.2, np.nan])
+    np.testing.assert_array_equal(damping["c"].y, [np.nan, 3.7])
+    assert stiffness["k"].low is not None and damping["c"].low is not None
+    np.testing.assert_array_equal([stiffness["k"].low, damping["c"].low], [[45.137, np.nan], [np.nan, 3.5]])
+    (section,) = fit_sections(Identification(bands))
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    assert [row[3:5] for row in table.rows] == [
+        ("45.200 ± 0.031", "eliminated"),
+        ("eliminated", "3.70 ± 0.10"),
+    ]

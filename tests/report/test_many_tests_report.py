@@ -146,10 +146,10 @@ def test_many_tests_are_medians_and_bands_of_groups() -> None:
 
 
 def test_a_condition_of_one_value_is_no_abscissa_and_values_outside_are_named() -> None:
-    """Twenty alike and one ten times their scatter away."""
-    values = np.append(1e3 + np.tile([-1.0, 1.0], 10), 1.03e3)
-    made = columns(values, np.full(21, 5.0))
-    made = replace(made, amounts={**made.amounts, "speed": ("Hz", np.arange(21.0))})
+    """Twenty alike, one ten times their scatter away, and one test without a value."""
+    values = np.append(1e3 + np.tile([-1.0, 1.0], 10), [1.03e3, np.nan])
+    made = columns(values, np.full(22, 5.0))
+    made = replace(made, amounts={**made.amounts, "speed": ("Hz", np.arange(22.0))})
     shown = document(DatasetIndex(tests=21), tests=ManyTests((made,)))
     (section,) = (section for section in shown.sections if section.heading == "k of direct")
     figures = [block.caption for block in section.blocks if isinstance(block, Figure)]

@@ -89,6 +89,14 @@ def test_the_verdict_comes_first_and_provenance_is_complete() -> None:
     assert "ab" * 32 in html and "labpipe 0.1.0" in html and re.search(r"frf.period</th><td>1.0</td>", html)
 
 
+def test_settings_of_zero_are_stated() -> None:
+    """By default windows overlap by half and a period is skipped."""
+    settings = {"frf": {"overlap": 0.0, "skip": 0, "detrend": "constant"}, "identify": [{"relative": False}]}
+    text = markdown_report(replace(result(), settings=settings))
+    stated = [line for line in text.splitlines() if line.startswith(("| frf", "| identify"))]
+    assert stated == ["| frf.overlap | 0.0 |", "| frf.skip | 0 |"]
+
+
 def test_a_failed_rule_and_missing_rules_are_said() -> None:
     base = result()
     failed = replace(base, outcomes=(replace(base.outcomes[0], passed=False),))
@@ -273,9 +281,11 @@ def test_the_signs_are_explained_once_and_the_correlation_of_few_in_words() -> N
 
 
 def test_a_long_table_is_folded_and_stands_in_full_in_its_csv() -> None:
-    rows = tuple((str(n), f"{n}.5, or so") for n in range(LONG_TABLE + 1))
+    rows = tuple((str(n), f"{n}.5, or so") for n in range(LONG_TABLE))
+    rows = (*rows, ("=1+1", "no formula to a spreadsheet"))
     tables = (Table(("band", "value"), chosen, "Bands") for chosen in (rows, rows[1:]))
     long, short = (render_html(Document("T", "", (Section("S", (table,)),))) for table in tables)
     assert "<details" not in short and f"<summary>Bands: {len(rows)} rows</summary>" in long
     content = base64.b64decode(re.search(r'data:text/csv;base64,([^"]+)"', long)[1]).decode()
-    assert list(csv.reader(io.StringIO(content))) == [["band", "value"], *(list(row) for row in rows)]
+    read = list(csv.reader(io.StringIO(content)))
+    assert read == [["band", "value"], *(list(row) for row in rows[:-1]), ["'=1+1", rows[-1][1]]]

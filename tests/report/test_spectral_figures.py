@@ -20,6 +20,7 @@ from labpipe.report import figures
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.measurement import (
     distortion_figure,
+    half_axes,
     orbit,
     orbit_figure,
     resonances,
@@ -163,3 +164,12 @@ def test_a_report_made_later_from_the_file_shows_the_same(tmp_path: Path) -> Non
     now = Identification((), "Rotor", responses=(both, directional(plain)), version=__version__)
     write_identification(tmp_path / "identification.json", now)
     assert html_report(read_identification(tmp_path / "identification.json")) == html_report(now)
+
+
+@pytest.mark.parametrize(("turn", "minor"), [(1, 1.0), (-1, -1.0)])
+def test_a_minor_half_axis_is_negative_where_the_orbit_turns_from_y_to_x(turn: int, minor: float) -> None:
+    """x = 3 cos wt and y = sin wt turns from x to y; the samples themselves give the sense."""
+    motion = np.array([3.0, -1j * turn])
+    x, y = (motion[:, None] * np.exp(1j * np.array([0.0, 0.1]))).real
+    assert np.sign(x[0] * y[1] - y[0] * x[1]) == turn
+    assert half_axes(motion) == (pytest.approx(3.0), pytest.approx(minor))

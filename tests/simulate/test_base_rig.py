@@ -52,6 +52,12 @@ def test_impossible_rigs_are_refused(change: dict[str, object], message: str) ->
         replace(QUIET, **change)
 
 
+def test_a_band_between_two_lines_of_a_run_is_refused() -> None:
+    """Lines of a run of 2 s are 0.5 Hz apart, so there is none from 20.1 to 20.4 Hz."""
+    with pytest.raises(ConfigError, match=r"no line of a run of 2 s lies in 20\.1-20\.4 Hz"):
+        recordings(replace(QUIET, duration=2.0, pause=0.0, band=(20.1, 20.4)), 1, ["absolute"])
+
+
 def test_the_shipped_recordings_are_made_by_their_recipe(root: Path, tmp_path: Path, labpipe) -> None:
     assert labpipe("simulate", "configs/virtual-base.yaml", "-o", tmp_path, "--seed", "1").code == 0
     shipped = root / "sample_data/base"

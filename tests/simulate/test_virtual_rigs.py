@@ -167,3 +167,12 @@ def test_runs_of_several_states_or_preloads_are_no_frf_matrix() -> None:
         _ = source_of(
             balls, 1.0, None, ("6208-427N-up-z", "string"), FrfSettings("periodic", period=0.5)
         ).truth
+
+
+def test_a_free_body_has_no_response_at_0_hz() -> None:
+    """K = [[1, -1], [-1, 1]] N/m is singular: nothing holds the two masses."""
+    spring = ((1.0, -1.0), (-1.0, 1.0))
+    body = replace(small("virtual-mdof-rig"), stiffness=spring, damping=spring, mass=(1.0, 2.0))  # type: ignore[type-var]
+    still = replace(body, lines=replace(body.lines, first=0.0))
+    with pytest.raises(ConfigError, match="infinite at a frequency line"):
+        simulate(still, 1)

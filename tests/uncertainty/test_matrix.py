@@ -279,6 +279,19 @@ def test_the_report_shows_all_points_in_the_unit_of_the_largest_the_second_condi
     assert [name for _, name in chart.y.ticks or ()] == ["5", "2"]
 
 
+def test_a_coefficient_is_drawn_at_those_further_conditions_that_have_it(recwarn) -> None:
+    """c belongs to one preload alone: a map of nothing but gaps gave a warning of numpy."""
+    settings = dataclasses.replace(SETTINGS, over=("speed", "load", "preload"), parameters=("k", "c"))
+    tests = [
+        ({"k": (1e6, 1e4), **({"c": (1e3, 1e1)} if tight == "3 N" else {})}, at(speed, load, preload=tight))
+        for speed in ("25 Hz", "50 Hz")
+        for load in ("2 kN", "5 kN")
+        for tight in ("1 N", "3 N")
+    ]
+    captions = [figure.caption for figure in coefficient_figures(a_matrix(tests, settings), "c")]
+    assert len(captions) == 2 and all("preload 3 N" in caption for caption in captions) and not recwarn.list
+
+
 @pytest.mark.parametrize("clearance", [None, 100e-6])
 def test_rest_positions_are_shown_in_um_or_in_shares_of_the_clearance(clearance: float | None) -> None:
     """30 and -40 um from the centre: 50 um, half of a clearance of 100 um."""
