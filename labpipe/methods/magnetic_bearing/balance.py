@@ -168,12 +168,11 @@ def _plane(channel: Channel) -> float | str:
 
 def _places(channels: Sequence[Channel]) -> FloatArray:
     """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope."""
-    places = [channel.position for channel in channels]
-    for channel, place in zip(channels, places, strict=True):
-        if place is None:
-            what = f"two bearings act in one plane, and the place of channel '{channel.name}' is not known"
-            raise ConfigError(what, hint="position: 120 mm, along the axis")
-    matrix = np.column_stack([np.ones(2), np.array(places, float)])
+    unknown = next((channel.name for channel in channels if channel.position is None), None)
+    if unknown is not None:
+        what = f"two bearings act in one plane, and the place of channel '{unknown}' is not known"
+        raise ConfigError(what, hint="position: 120 mm, along the axis")
+    matrix = np.column_stack([np.ones(2), np.array([channel.position for channel in channels], float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
         what = f"channels {channels[0].name} and {channels[1].name} of one plane have one position"
         raise ConfigError(what, hint="two places")
@@ -191,14 +190,15 @@ def mass_matrix(
     *mass* [kg] of the rotor, or the matrix itself. ConfigError without the moment of inertia where it counts,
     with one where it does not, and for a mass that no rotor has.
     """
-    n = len(currents)
+    n, whole = len(currents), not isinstance(mass, float)
+    given = [name for name in ("inertia", "centre") if getattr(settings, name)]
+    if given and (whole or all(len(axes) == 1 for axes in planes)):
+        of = "one mass of a rotor" if whole else "a rotor"
+        raise SettingError(given[0], f"'{given[0]}' belongs to {of} on two bearings", "leave it out")
     if not isinstance(mass, float):
         return _whole_matrix(np.asarray(mass, float), n)
     if not mass > 0:
         raise SettingError("mass", f"the mass of the rotor is above zero, not {mass:g} kg")
-    given = [name for name in ("inertia", "centre") if getattr(settings, name)]
-    if given and all(len(axes) == 1 for axes in planes):
-        raise SettingError(given[0], f"'{given[0]}' belongs to a rotor on two bearings", "leave it out")
     matrix = np.zeros((n, n))
     for axes in planes:
         if len(axes) == 1:
@@ -254,15 +254,11 @@ class Between:
             later = np.expm1(-corner * t) / np.expm1(-corner * interval)
         z = np.exp(1j * np.asarray(omega) * interval)[:, None]
         ahead, behind = (1 - later) + z * later, (1 - later) / z + later
-        return np.array(
-            [
-                ((interval - t) ** power * ahead + t**power * behind)
-                @ weights
-                / factorial(power)
-                * self.rate**2
-                for power in range(1, 2 * POWERS, 2)
-            ]
+        of_powers = (
+            ((interval - t) ** power * ahead + t**power * behind) @ weights / factorial(power)
+            for power in range(1, 2 * POWERS, 2)
         )
+        return np.asarray(self.rate**2 * np.array(list(of_powers), np.complex128))
 
 
 @dataclass(frozen=True)

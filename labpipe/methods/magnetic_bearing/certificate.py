@@ -11,10 +11,10 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.magnetic_bearing import sensitivity, stability
-from labpipe.methods.magnetic_bearing.bearing import MagneticFile
+from labpipe.methods.magnetic_bearing.bearing import MagneticFile, growing
 from labpipe.methods.magnetic_bearing.limits import (
     CertificateSettings,
     Limit,
@@ -238,6 +238,11 @@ def certificate(
     together, FitError without a covariance.
     """
     certificate_settings = resolve(settings)
+    if file is None:
+        able = ("before", "after", "test", "log_decrement", "zone", "confidence")
+        certificate_settings.check_written(
+            able, "there is no theory", "theory: {bearing: FILE}, or leave it out"
+        )
     matrix = sensitivity.sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
     loops = [matrix.loop(number) for number in range(len(matrix.loops))]
     peaks = [sensitivity.peak_of(loop) for loop in loops]
@@ -317,6 +322,10 @@ OF_LOOP = (
 
 def resolve(settings: CompareSettings) -> CertificateSettings:
     certificate: CertificateSettings = settings.kind_settings
+    twice = {"before", "after"}.intersection(settings.written)
+    if twice and (certificate.before or certificate.after):
+        what = "the points of a loop are named in the comparison and in its section `certificate`"
+        raise SettingError(min(twice), what, "leave them out of one")
     if certificate.after:
         return certificate
     return replace(certificate, before=certificate.before or (settings.before,), after=(settings.after,))
@@ -360,7 +369,14 @@ def _fit(
     if len(matrix.loops) != 1:
         hint = "leave theory out, or certify one loop at a time"
         raise ConfigError("a bearing file describes one loop", hint=hint)
+    if file.loop.cross is not None:
+        what = "a cross-coupled controller couples x and y; a certificate with a theory is that of one loop"
+        raise ConfigError(what, hint="leave cross out, or theory")
     rate = acceptance.rate or file.loop.rate
+    if acceptance.filtered and rate is None:
+        raise SettingError(
+            "filtered", "'filtered' is of a loop that is sampled", "rate: 10 kHz, or leave it out"
+        )
     fit = loop_fit([recorded_loop(acceptance, response, file)], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
@@ -371,9 +387,7 @@ def _fit(
         )
         rejected = f"{_why_rejected(fit)}; {cause}"
     elif loop is not None and loop.unstable:
-        rejected = (
-            f"the fitted loop is unstable, {loop.unstable} poles grow, so it cannot be the recorded one"
-        )
+        rejected = f"the fitted loop is unstable, {growing(loop.unstable)}, so it cannot be the recorded one"
     return FittedModel(file, fit, loop, rejected, rate)
 
 
@@ -460,7 +474,7 @@ def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Findi
     if model is None:
         return tuple(findings)
     if model.loop is not None and model.loop.unstable:
-        what = f"the fitted loop is unstable: {model.loop.unstable} poles grow; check signs, mass and delay"
+        what = f"the fitted loop is unstable: {growing(model.loop.unstable)}; check signs, mass and delay"
         findings.append(Finding("unstable-loop", what))
     findings += identifiability_findings(model.fit)
     findings += [] if model.loop is None else bent_findings(model.loop)

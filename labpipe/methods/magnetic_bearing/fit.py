@@ -4,7 +4,6 @@ and block (an amplifier, a sensor or a whole chain as gain, delay and low-pass).
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +12,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.descent import Minimum, minimise, sum_of_squares
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
@@ -28,6 +27,7 @@ from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSetting
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import RobustPlant, systematic
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
+from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE, Uncertainties
 from labpipe.records.spectra import ChannelSpectra
@@ -51,11 +51,7 @@ def robust_plant(
     # An element that the model lacks has no size of its own.
     weight = radius / np.linalg.norm(curve.fitted, 2, axis=(1, 2))[:, None, None]
     a, b, c, d = state_space(best.model, best.values)
-    n_output, n_input = weight.shape[1:]
-    bounds = [
-        [overbound(curve.frequency, weight[:, row, column]) for column in range(n_input)]
-        for row in range(n_output)
-    ]
+    bounds = [[overbound(curve.frequency, element) for element in row] for row in weight.transpose(1, 2, 0)]
     return RobustPlant(
         frequency=curve.frequency,
         nominal=curve.fitted,
@@ -162,10 +158,13 @@ def sign_findings(model: balance.MagnetModel, parameters: Sequence[Parameter]) -
 
 
 def fit_notes(
-    rotor: balance.Levitation, best: likelihood.MagnetEstimate, uncertainties: Uncertainties
+    rotor: balance.Levitation,
+    best: likelihood.MagnetEstimate,
+    parameters: Sequence[Parameter],
+    uncertainties: Uncertainties,
 ) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
-    would give.
+    """Sign and size of what was estimated, its use as a force with all its uncertainty, and what least
+    squares without regard to noise would give.
     """
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
@@ -174,13 +173,10 @@ def fit_notes(
         "away from the centre (the `negative_stiffness` of a bearing file is -k_s). It holds for motions of "
         f"this size: r.m.s. {size:.3g} um."
     ]
-    if n == 1:
-        values = dict(zip(best.model.names, best.values, strict=True))
-        errors = dict(zip(best.model.names, np.sqrt(np.diag(best.covariance)), strict=True))
-        current, motion = (rotor.spectra.channels[int(np.flatnonzero(row)[0])].name for row in rotor.to_axes)
+    if n == 1 and best.converged:
         terms = ", ".join(
-            f"{name}: {sign * values[kind]:.6g} {unit} +- {errors[kind]:.2g} {unit}"
-            for name, kind, sign, unit in ((current, "k_i", 1, "N/A"), (motion, "k_s", -1, "N/m"))
+            f"{channel.name}: {sign * p.value:.6g} {p.unit} +- {p.full_error:.2g} {p.unit}"
+            for channel, sign, p in zip(_channels(rotor), (1, -1), parameters, strict=False)
         )
         notes.append(
             f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
@@ -202,6 +198,11 @@ def fit_notes(
     return tuple(notes)
 
 
+def _channels(rotor: balance.Levitation) -> list[Channel]:
+    """Of every current, then of every displacement, the channel or the first of those that give it."""
+    return [rotor.spectra.channels[int(np.flatnonzero(row)[0])] for row in rotor.to_axes]
+
+
 def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCurve | None:
     """Displacement per current, X I^-1 of the runs, against the model; none where a line has too few runs."""
     axes, n = rotor.axes, rotor.n_axis
@@ -212,7 +213,7 @@ def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCu
     measured = motions @ inverse
     rows = best.model.rows(best.values, rotor.omega)
     fitted = -np.linalg.solve(rows[:, :, n:], rows[:, :, :n])
-    channels = [rotor.spectra.channels[int(np.flatnonzero(row)[0])] for row in rotor.to_axes]
+    channels = _channels(rotor)
     return FittedCurve(
         rotor.omega / (2 * np.pi),
         measured,
@@ -249,14 +250,12 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     if np.ndim(mass) == 1:
         mass = np.diag(mass)
     rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
-    between = (
-        None
-        if magnet_settings.hold is None
-        else balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
-    )
-    if between is not None and rotor.omega[-1] > np.pi * between.rate:
-        what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
-        raise SettingError("hold", what, "hold is the rate of the recording")
+    between = None
+    if magnet_settings.hold is not None:
+        between = balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
+        if rotor.omega[-1] > np.pi * between.rate:
+            what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
+            raise SettingError("hold", what, "hold is the rate of the recording")
     model = balance.magnet_model(
         rotor.labels,
         rotor.bearing,
@@ -285,18 +284,16 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *spectra.findings,
     )
     curve = draw(rotor, best)
-    plant = (
-        None
-        if curve is None
-        else robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence)
-    )
+    plants: tuple[RobustPlant, ...] = ()
+    if curve is not None:
+        plants = (robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence),)
     band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
     return replace(
         reported_fit(settings, stated, error.named(parameters), band, n_line),
         findings=findings,
-        notes=fit_notes(rotor, best, settings.uncertainties),
+        notes=fit_notes(rotor, best, parameters, settings.uncertainties),
         curve=curve,
-        details=() if plant is None else (plant,),
+        details=plants,
         budget=budget if best.converged else None,
         discrepancy=error.discrepancy,
     )
@@ -307,23 +304,21 @@ def _uncertainties_of_mass(
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
     magnet_settings: MagnetSettings = settings.model_settings
-    mass_of = functools.partial(balance.mass_matrix, rotor.currents, rotor.planes)
+    of_mass, inertia = dict(settings.uncertainties).get("mass"), magnet_settings.inertia
     given: list[tuple[Uncertainty, FloatArray]] = []
-    of_mass = dict(settings.uncertainties).get("mass")
-    if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
-        source = f"mass of the rotor, {of_mass.value:g} kg +- {of_mass.std_error:g} kg"
-        given.append(
-            (
-                uncertainty_of(of_mass, source, "kg"),
-                mass_of(mass + of_mass.std_error, magnet_settings) - rotor.mass,
-            )
-        )
-    inertia = magnet_settings.inertia
+
+    def add(name: str, number: Uncertain, unit: str, larger: float, with_larger: MagnetSettings) -> None:
+        source = f"{name}, {number.value:g} {unit} +- {number.std_error:g} {unit}"
+        matrix = balance.mass_matrix(rotor.currents, rotor.planes, larger, with_larger)
+        given.append((uncertainty_of(number, source, unit), matrix - rotor.mass))
+
+    if not isinstance(mass, float):
+        return given
+    if of_mass is not None and of_mass.std_error > 0:
+        add("mass of the rotor", of_mass, "kg", mass + of_mass.std_error, magnet_settings)
     if inertia is not None and inertia.std_error > 0:
-        larger = replace(magnet_settings, inertia=Uncertain(inertia.value + inertia.std_error))
-        change = mass_of(mass, larger) - rotor.mass
-        source = f"moment of inertia, {inertia.value:g} kg.m^2 +- {inertia.std_error:g} kg.m^2"
-        given.append((uncertainty_of(inertia, source, "kg.m^2"), change))
+        larger = Uncertain(inertia.value + inertia.std_error)
+        add("moment of inertia", inertia, "kg.m^2", mass, replace(magnet_settings, inertia=larger))
     return given
 
 
@@ -415,17 +410,21 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     if len(rows) != 1 or len(columns) != 1:
         what = f"a block has one input and one output, not {len(columns)} and {len(rows)}"
         raise ConfigError(what, hint="name them: input, output")
-    fits = []
+    block_settings: BlockSettings = settings.model_settings
+    auto, fits = block_settings.order == AUTO, []
     for band in settings.bands or (settings.band,):
         lines = np.ones(response.frequency.size, bool) if band is None else lines_in(response.frequency, band)
         measured = measured_part(replace(response, form="receptance"), rows, columns, lines)
-        block_settings: BlockSettings = settings.model_settings
-        if not has_noise(measured):
+        if measured.covariance is None or not has_noise(measured):
             raise FitError("the noise of the response is not known", hint="average several periods or blocks")
+        silent = measured.omega[measured.covariance[:, 0, 0].real <= 0]
+        if silent.size:
+            hint = "leave it out (`exclude`), or average several periods or blocks"
+            raise FitError(f"the line at {silent[0] / (2 * np.pi):g} Hz has no noise", hint=hint)
         if measured.omega.size < LEAST_LINES:
             hint = f"{LEAST_LINES} or more: widen `band`"
             raise FitError(f"{measured.omega.size} lines in the band", hint=hint)
-        orders = ORDERS[1:] if block_settings.order == AUTO else [block_settings.order]
+        orders = ORDERS[1:] if auto else [block_settings.order]
         minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
         if not minima:
             raise FitError("no block can be determined by these lines", hint="widen the band")
@@ -433,23 +432,27 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
             ((_candidate(measured, *minimum), minimum) for minimum in minima),
             key=lambda pair: pair[0].bic or 0.0,
         )
-        candidates = tuple(candidate for candidate, _ in pairs) if block_settings.order == AUTO else ()
+        candidates = tuple(candidate for candidate, _ in pairs) if auto else ()
         fits.append(_report(measured, response, settings, *pairs[0][1], candidates))
     return tuple(fits)
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
-    sign = float(np.sign(measured.matrix[0, 0, 0].real)) or 1.0
-    problem = _Problem(measured, Block(order, sign, float(measured.omega[-1])))
-    level = float(np.log(np.abs(measured.matrix[0, 0, 0])))
-    highest = float(measured.omega[-1]) / (2 * np.pi)
+    response, omega = measured.matrix[:, 0, 0], measured.omega
+    highest, level = float(omega[-1]), float(np.log(np.abs(response[0])))
+    # A delay turns the phase of the lowest line as well: the sign by the phase there, and by its course.
+    slope, at_rest = np.polyfit(omega, np.unwrap(np.angle(response)), 1)
+    begun = ((float(np.sign(response[0].real)) or 1.0, 0.0), (float(np.copysign(1, np.cos(at_rest))), -slope))
     ends = []
-    for share in CORNERS if order else (1.0,):
-        corner = np.log(share * highest)
-        shape = [[], [corner], [corner, np.log(DAMPING)], [corner, corner, np.log(DAMPING)]][order]
-        ends.append(minimise(problem, np.array([level, 0.0, *shape])))
-    ends = [end for end in ends if end.converged and np.linalg.cond(problem.jacobian(end.values)) < 1 / STEP]
-    return (problem, min(ends, key=lambda end: problem.chi2(end.values))) if ends else None
+    for sign, delay in begun:
+        problem = _Problem(measured, Block(order, sign, highest))
+        for share in CORNERS if order else (1.0,):
+            corner = np.log(share * highest / (2 * np.pi))
+            shape = [[], [corner], [corner, np.log(DAMPING)], [corner, corner, np.log(DAMPING)]][order]
+            end = minimise(problem, np.array([level, delay * highest, *shape]))
+            if end.converged and np.linalg.cond(problem.jacobian(end.values)) < 1 / STEP:
+                ends.append((problem, end))
+    return min(ends, key=lambda pair: pair[0].chi2(pair[1].values), default=None)
 
 
 def _candidate(measured: Measured, problem: _Problem, minimum: Minimum) -> Candidate:
@@ -484,34 +487,32 @@ def _report(
     gof = Goodness(r2, adjusted, best.chi2 / best.dof, best.chi2_p)
     names = tuple(name for name, _ in problem.block.names)
     vifs, errors = inflation_factors(design), slopes * np.sqrt(np.diag(covariance))
-    plain = [
+    parameters = [
         estimated(name, unit, float(value), float(error), best.dof, float(vif))
         for (name, unit), value, error, vif in zip(problem.block.names, values, errors, vifs, strict=True)
     ]
-    parameters = [widen(parameter, factor) if factor > 1 else parameter for parameter in plain]
     as_estimate = Estimate(
         values=values,
         covariance=covariance,
         scaled_design=design,
         gof=gof,
         dof=best.dof,
-        converged=minimum.converged,
+        converged=True,
         iterations=minimum.steps,
     )
-    excess = (
-        f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
-        "loop biases its FRF"
-    )
-    cure = "`frf: {reference: r}` where the loop is closed"
-    mismatch = [Finding("model-mismatch", f"{excess}; {cure}")] if factor > 1 else []
+    mismatch = []
+    if factor > 1:
+        parameters = [widen(parameter, factor) for parameter in parameters]
+        excess = (
+            f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
+            "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
+        )
+        mismatch = [Finding("model-mismatch", excess)]
     frequency = measured.omega / (2 * np.pi)
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
-    shown = tuple(parameters) if minimum.converged else without_intervals(parameters)
-    ports = (measured.outputs, measured.inputs)
-    outputs, inputs = (tuple(port.label for port in side) for side in ports)
     return replace(
-        reported_fit(settings, as_estimate, shown, band, frequency.size),
+        reported_fit(settings, as_estimate, tuple(parameters), band, frequency.size),
         findings=(
             *estimate_findings(as_estimate, names, frequency.size),
             *goodness_findings(gof),
@@ -524,8 +525,8 @@ def _report(
             measured.matrix,
             fitted,
             variance=measured.covariance[:, :1, :1].real,
-            outputs=outputs,
-            inputs=inputs,
+            outputs=tuple(port.label for port in measured.outputs),
+            inputs=tuple(port.label for port in measured.inputs),
             form=response.form,
         ),
     )

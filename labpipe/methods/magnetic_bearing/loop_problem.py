@@ -75,7 +75,7 @@ def _place(file: MagneticFile, name: str) -> tuple[str, str, str]:
             raise ConfigError(f"estimate: '{name}' is no number of a block", hint=hint)
         return number, entry, _BLOCK_ENTRIES[entry]
     for section, units in ENTRIES.items():
-        if field in units:
+        if field in units and not (section == "" and field == "force_per_current" and file.factor_of_loop):
             return section, field, units[field]
     names = dict.fromkeys([*ALIASES, *(entry for units in ENTRIES.values() for entry in units)])
     raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, names))

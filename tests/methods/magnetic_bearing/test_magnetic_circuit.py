@@ -134,3 +134,10 @@ def test_negative_currents_and_missing_bias_are_refused() -> None:
         replace(MAGNET, bias_current=-0.1)
     with pytest.raises(ConfigError, match="without bias flux"):
         replace(MAGNET, bias_current=0.0, coercivity=0.0)
+
+
+def test_a_permanent_magnet_has_strength_and_length() -> None:
+    """Each alone, or the area of a ring without a length, changed nothing."""
+    for entries in ({"coercivity": 9e5}, {"magnet_length": 3e-3}, {"magnet_area": 1e-4}):
+        with pytest.raises(ConfigError, match="magnet_length"):
+            Magnet(turns=100, gap=5e-4, pole_area=1e-4, bias_current=2.0, **entries)
