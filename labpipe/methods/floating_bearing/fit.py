@@ -60,7 +60,6 @@ from labpipe.methods.floating_bearing.stator import (
     stator_of,
 )
 from labpipe.methods.floating_bearing.values import (
-    Bearing,
     FittedStiffness,
     Shaft,
     as_estimate,
@@ -238,12 +237,11 @@ def compare(
     """Candidates in ascending BIC, and the estimates by form. Forms that the lines cannot determine are left
     out. Equation (ds-bic).
     """
-    estimates: dict[str, Estimate] = {}
-    for form in dict.fromkeys((*forms, *([of_form.model.form.name] if of_form else []))):
+    estimates = {} if of_form is None else {of_form.model.form.name: of_form}
+    for form in forms:
         try:
-            fits = of_form is not None and form == of_form.model.form.name
-            model = StiffnessModel(FORMS[form], symmetry)
-            estimates[form] = of_form if of_form and fits else estimate(balance, model, noise, uncertain)
+            if form not in estimates:
+                estimates[form] = estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
         except FitError:
             continue
     candidates = [_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()]
@@ -340,12 +338,11 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         _statement(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness
     )
     load = _statement(section.load, spectra, "load", "N") if section.clearance is not None else None
-    bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
     main = coefficients(fitted, inflation_factors(best.design))
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
     parameters, budget = budgeted(
-        (*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof
+        (*main, *others, *dimensionless(main, section, load, shaft.speed)), solved.uncertainties, best.dof
     )
     fit = _report(settings, balance, solved, whole_band, error.named(parameters))
     smeared = smeared_balance(stator, given, balance)
@@ -364,6 +361,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     notes = (
         *given_notes(given, solved.uncertainties, fitted),
         motion_note(stator),
+        *_left_out(section, parameters),
         *(() if likely else (LS_NOTE,)),
     )
     shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
@@ -378,9 +376,28 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
 
 
+def _left_out(section: DynamicStiffnessSettings, parameters: Sequence[Parameter]) -> list[str]:
+    """Notes on what was asked for and cannot be given."""
+    names = {parameter.name for parameter in parameters}
+    notes = []
+    if section.clearance is not None and "k_xx_dimensionless" not in names:
+        notes.append(
+            "dynamic-stiffness: no coefficients without dimension: they need a speed, a load, and another "
+            "form than bands."
+        )
+    if section.rotor_mass is not None and "onset_speed" not in names:
+        notes.append(
+            "dynamic-stiffness: no onset speed: it needs form kc or kcm with cross terms, motion against the "
+            "shaft, a speed, and a bearing that whirls."
+        )
+    return notes
+
+
 def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
     section: DynamicStiffnessSettings = settings.model_settings
-    mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
+    mass = section.stator_mass
+    if mass is None and isinstance(settings.mass, float):
+        mass = dict(settings.uncertainties).get("mass", Uncertain(settings.mass))
     if mass is not None and mass.value == 0:
         mass = None
     given = Given(mass, given_baseline(section), section.motion == "absolute")

@@ -30,6 +30,7 @@ from labpipe.estimation import statistics
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.statistics import derive, estimated, student_limit, widen
 from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
+from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.identification import Goodness
@@ -449,64 +450,48 @@ def _synchronous(fitted: FittedStiffness, omega: FloatArray, shaft: Shaft) -> li
 LETTERS = "kcm"
 
 
-@dataclass(frozen=True)
-class Bearing:
-    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]."""
-
-    clearance: float | None = None
-    load: float | None = None
-    viscosity: float | None = None
-    diameter: float | None = None
-    length: float | None = None
-
-
 def dimensionless(
-    coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
+    coefficients: Sequence[Valued], section: DynamicStiffnessSettings, load: float | None, speed: float | None
 ) -> tuple[Valued, ...]:
-    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
-    Equation (ds-dimensionless).
+    """k_xx_dimensionless ... and the Sommerfeld number, as far as what they need is given; *load* [N] and
+    *speed* [Hz] of either sign. Equation (ds-dimensionless).
     """
-    if not bearing.clearance or not bearing.load or not speed:
+    if not section.clearance or not load or not speed:
         return ()
-    omega = 2 * np.pi * abs(speed)
+    clearance, load, speed = section.clearance, abs(load), abs(speed)
     scaled = [
-        _scale(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
+        _scale(valued, clearance / load * (2 * np.pi * speed) ** LETTERS.index(letter))
         for valued in coefficients
         if (letter := valued.parameter.name.split("_")[0]) in LETTERS
         and len(valued.parameter.name) == len("k_xx")
     ]
-    number = _sommerfeld(bearing, abs(speed))
-    return (*scaled, *(Valued(parameter, np.zeros_like(coefficients[0].slopes)) for parameter in number))
+    if section.viscosity is None or section.length is None or section.diameter is None:
+        return tuple(scaled)
+    number = section.viscosity * speed * section.length * section.diameter / load
+    number *= (section.diameter / (2 * clearance)) ** 2
+    sommerfeld = Parameter("sommerfeld", number, "1", derived=True)
+    return (*scaled, Valued(sommerfeld, np.zeros_like(coefficients[0].slopes)))
 
 
 def _scale(valued: Valued, factor: float) -> Valued:
     parameter = valued.parameter
-    interval = None if parameter.ci95 is None else (factor * parameter.ci95[0], factor * parameter.ci95[1])
-    errors = [
-        None if error is None else factor * error
-        for error in (parameter.std_error, parameter.std_error_inflated)
-    ]
+    low, high = parameter.ci95 or (np.nan, np.nan)
+    errors = {
+        name: factor * error
+        for name in ("std_error", "std_error_inflated")
+        if (error := getattr(parameter, name)) is not None
+    }
     scaled = replace(
         parameter,
         name=f"{parameter.name}_dimensionless",
         value=factor * parameter.value,
         unit="1",
-        std_error=errors[0],
-        std_error_inflated=errors[1],
-        ci95=interval,
+        ci95=_finite(factor * low, factor * high),
         vif=None,
         derived=True,
+        **errors,
     )
     return Valued(scaled, factor * valued.slopes)
-
-
-def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
-    needed = (bearing.viscosity, bearing.length, bearing.diameter)
-    if bearing.clearance is None or bearing.load is None or any(number is None for number in needed):
-        return ()
-    viscosity, length, diameter = (float(number) for number in needed if number is not None)
-    value = viscosity * speed * length * diameter / bearing.load * (diameter / (2 * bearing.clearance)) ** 2
-    return (Parameter("sommerfeld", value, "1", derived=True),)
 
 
 # Share of a variance below which an independent error is not listed by itself and stays with the noise.

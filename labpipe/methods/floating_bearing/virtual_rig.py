@@ -61,7 +61,7 @@ class Pad(Settings):
     damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
-        self.require_positive("frequency")
+        self.require_positive("frequency", "damping_ratio")
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,10 @@ class Condition(Settings):
         self.require_not_negative("speed")
         if self.film == "journal" and not (self.speed > 0 and self.load > 0):
             raise SettingError("film", "a journal bearing needs a speed and a load")
+        given = {"stiffness", "damping"}.intersection(self.written)
+        if self.film == "journal" and given:
+            name = max(given)
+            raise SettingError(name, f"'{name}' is that of the rig's journal bearing", "leave it out")
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ class BendingMode(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("frequency")
+        self.require_not_negative("damping_ratio")
         for name in ("at_bearings", "at_sensors"):
             if len(getattr(self, name)) != len(ENDS):
                 raise SettingError(name, f"'{name}' needs a number for each of the two ends")
@@ -162,6 +163,8 @@ class LevitatedRig(Settings):
             self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)
         ):
             raise SettingError("axes", "cross-coupling and gyroscopic moments need both axes", "axes: xy")
+        if self.rotor is None and self.unbalance_place:
+            raise SettingError("unbalance_place", "a mass on one bearing has no places", "leave it out")
         _whole(
             self.control.rate / self.sample_rate,
             f"the recording's rate divides that of the controller, {self.control.rate:g} Hz",

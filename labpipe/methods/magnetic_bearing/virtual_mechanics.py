@@ -36,9 +36,11 @@ class Levitation(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not self.bearings > 0:
-            raise SettingError("bearings", "the rotor hangs in one bearing or more")
-        self.require_positive("corner")
+        self.require_positive("bearings", "corner")
+        others = ("loop",) if self.law == "relaxation" else ("dynamic", "corner")
+        for name in others:
+            if name in self.written:
+                raise SettingError(name, f"'{name}' is not of the law {self.law}", "leave it out")
 
 
 @dataclass(frozen=True)

@@ -333,7 +333,11 @@ def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
 
 
 def _loop_runs(rig: VirtualMagneticRig) -> dict[str, MakeRun]:
-    return LOOP_RUNS if rig.levitation.law == "control-loop" else {}
+    """Blocks have no proportional gain to be varied."""
+    if rig.levitation.law != "control-loop":
+        return {}
+    fixed = GAINS if rig.levitation.loop.controller else {}
+    return {name: run for name, run in LOOP_RUNS.items() if name not in fixed}
 
 
 def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArray:

@@ -234,6 +234,14 @@ def test_impossible_conditions_are_refused() -> None:
             {"pad": {"stiffness": 1.0, "damping": 0.0, "frequency": 0.0, "damping_ratio": 0.5}},
             "frequency must be positive",
         ),
+        (
+            {"pad": {"stiffness": 1.0, "damping": 0.0, "frequency": 9.0, "damping_ratio": -0.5}},
+            "damping_ratio must be positive",
+        ),
+        (
+            {"film": "journal", "speed": 9.0, "load": 9.0, "damping": ((1.0, 0.0), (0.0, 1.0))},
+            "'damping' is that of the rig's journal bearing",
+        ),
     ):
         with pytest.raises(ConfigError, match=message):
             Condition(**settings)

@@ -192,6 +192,10 @@ def test_what_cannot_float_is_refused() -> None:
         one_axis(sample_rate=3000.0)
     with pytest.raises(ConfigError, match="need both axes"):
         shipped(axes="x")
+    with pytest.raises(ConfigError, match="no places"):
+        one_axis(unbalance_place=0.1)
+    with pytest.raises(ConfigError, match="damping_ratio must not be negative"):
+        replace(BENT.bending, damping_ratio=-0.01)
     with pytest.raises(ConfigError, match="disturbance must not be negative"):
         LevitatedNoise(disturbance=-1.0)
     with pytest.raises(ConfigError, match="2 x 2"):
