@@ -139,8 +139,9 @@ def _missing_channels(quantity: str) -> str:
     what = {
         FORCE: "the forces on the stator",
         DISPLACEMENT: "displacements of the stator against the shaft in x and y",
+        ACCELERATION: "its accelerations in x and y",
     }
-    return f"the balance of the stator needs {what.get(quantity, 'its accelerations in x and y')}"
+    return f"the balance of the stator needs {what[quantity]}"
 
 
 def direction(channel: Channel) -> float:
@@ -157,9 +158,8 @@ def _check_once(channels: Sequence[Channel], quantity: str) -> None:
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
-            what = (
-                f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}"
-            )
+            names = f"'{seen[channel.dof]}' and '{channel.name}'"
+            what = f"{quantity} channels {names} have one dof, {channel.dof}"
             key = "input" if quantity == FORCE else "output"
             raise ConfigError(what, hint=f"name those of the balance in `{key}`")
         seen[channel.dof] = channel.name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -132,13 +131,6 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     )
 
 
-def static_stiffness(factors: MagnetFactors, current_per_displacement: float) -> float:
-    """k_0 = k_i di/dx - k_n of the closed loop at rest. *current_per_displacement* = probe * G(0) * amplifier
-    [A/m] -> [N/m].
-    """
-    return factors.force_per_current * current_per_displacement - factors.negative_stiffness
-
-
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
     """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
     reluctance [m^2]. Equation (mag-area).
@@ -263,10 +255,6 @@ def verdict(plant: Suspended) -> Verdict:
     return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant), sampled)
 
 
-def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoefficients]:
-    return [_coefficients(entry) for entry in settings]
-
-
 def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.motion_frequency])
     stability = verdict(plant)
@@ -338,7 +326,7 @@ def _dynamic(settings: MagneticFile, omega: FloatArray) -> ComplexArray:
 
 MAGNETIC_KIND = BearingKind(
     MagneticFile,
-    magnetic_coefficients,
+    lambda settings: [_coefficients(entry) for entry in settings],
     operating={"speed": synchronous, "frequency": frequency_hz},
     lateral=("x", "y"),
     dynamic=_dynamic,

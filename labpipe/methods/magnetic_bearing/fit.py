@@ -18,10 +18,10 @@ from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodne
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widen
+from labpipe.estimation.statistics import Estimate, determination, inflation_factors
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
-from labpipe.methods.floating_bearing.values import as_estimate, budgeted, plain_values, unconverged
+from labpipe.methods.floating_bearing.values import balance_fit, budgeted, plain_values
 from labpipe.methods.magnetic_bearing import balance, likelihood
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings, MagnetSettings
 from labpipe.records.finding import Finding, Parameter
@@ -270,16 +270,14 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
     valued = plain_values(model.names, model.units, best.values, covariances, best.dof, vifs)
     parameters, budget = budgeted(valued, best.uncertainties, best.dof)
-    if not best.converged:
-        parameters = unconverged(parameters)
-    gof = _goodness(rotor, model, best)
-    stated, n_line = as_estimate(best, gof, best.amplification), rotor.omega.size
+    band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
+    gof, shown = _goodness(rotor, model, best), error.named(parameters)
+    fit = balance_fit(settings, best, gof, best.amplification, shown, band, rotor.omega.size, remedy)
     findings = (
-        *estimate_findings(stated, model.names, n_line, model.units, remedy),
-        *goodness_findings(gof),
+        *fit.findings,
         *error.finding,
         *likelihood.late_findings(rotor, best),
-        *sign_findings(model, parameters),
+        *sign_findings(model, fit.parameters),
         *few_averages(likelihood.noise_of(rotor)),
         *spectra.findings,
     )
@@ -287,9 +285,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     plants: tuple[RobustPlant, ...] = ()
     if curve is not None:
         plants = (robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence),)
-    band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
     return replace(
-        reported_fit(settings, stated, error.named(parameters), band, n_line),
+        fit,
         findings=findings,
         notes=fit_notes(rotor, best, parameters, settings.uncertainties),
         curve=curve,
@@ -485,12 +482,10 @@ def _report(
     fitted = problem.block.response(minimum.values, measured.omega)[:, None, None]
     r2, adjusted = determination(measured.matrix, measured.matrix - fitted, values.size)
     gof = Goodness(r2, adjusted, best.chi2 / best.dof, best.chi2_p)
-    names = tuple(name for name, _ in problem.block.names)
-    vifs, errors = inflation_factors(design), slopes * np.sqrt(np.diag(covariance))
-    parameters = [
-        estimated(name, unit, float(value), float(error), best.dof, float(vif))
-        for (name, unit), value, error, vif in zip(problem.block.names, values, errors, vifs, strict=True)
-    ]
+    names, units = zip(*problem.block.names, strict=True)
+    errors = np.outer(slopes, slopes) * covariance
+    covariances, vifs = (errors, factor**2 * errors), inflation_factors(design)
+    valued = plain_values(names, units, values, covariances, best.dof, vifs)
     as_estimate = Estimate(
         values=values,
         covariance=covariance,
@@ -502,7 +497,6 @@ def _report(
     )
     mismatch = []
     if factor > 1:
-        parameters = [widen(parameter, factor) for parameter in parameters]
         excess = (
             f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
             "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
@@ -512,7 +506,7 @@ def _report(
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
     return replace(
-        reported_fit(settings, as_estimate, tuple(parameters), band, frequency.size),
+        reported_fit(settings, as_estimate, tuple(v.parameter for v in valued), band, frequency.size),
         findings=(
             *estimate_findings(as_estimate, names, frequency.size),
             *goodness_findings(gof),

@@ -162,13 +162,8 @@ def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
 
 def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
     """Standard deviation that the logger adds [A, N, A or m]; sensor noise is in the loop already."""
-    if channel.name.startswith("r_"):
-        return rig.noise.reference
-    if channel.name.startswith("s_"):
-        return rig.noise.force
-    if channel.name.startswith("u_"):
-        return 0.0
-    return rig.noise.current if channel.role != "output" else 0.0
+    own = {"r_": rig.noise.reference, "s_": rig.noise.force, "u_": 0.0}
+    return own.get(channel.name[:2], 0.0 if channel.role == "output" else rig.noise.current)
 
 
 def truth(rig: LevitatedRig) -> dict[str, Any]:

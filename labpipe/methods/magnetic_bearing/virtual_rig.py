@@ -84,9 +84,8 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     length = _length(periods / force.spacing)
     spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
     spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
-    force_samples = np.resize(
-        np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing)), length + 1
-    ) * np.cos(np.pi / 4)
+    period = np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing))
+    force_samples = np.resize(period, length + 1) * np.cos(np.pi / 4)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
@@ -95,10 +94,8 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     columns: list[FloatArray] = [shaker, *signals[:, :2, READING].T]
     # The gain study needs force and motion only.
     for number, dof in enumerate("xy" if name not in GAINS else ""):
-        channels += [
-            Channel(f"i{dof}", "current", "reference", f"i{dof}"),
-            Channel(f"u{dof}", "voltage", "reference", f"u{dof}"),
-        ]
+        for name_of, quantity in ((f"i{dof}", "current"), (f"u{dof}", "voltage")):
+            channels.append(Channel(name_of, quantity, "reference", name_of))
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
@@ -152,11 +149,11 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     t = np.arange(length + 1) / CONTROL_RATE
     speed = low + (high - low) * t / duration
     angle = 2 * np.pi * (low * t + (high - low) * t**2 / (2 * duration))
-    plant = rotor_alone(rig)
+    plant, quarters = rotor_alone(rig), (0.0, np.pi / 2)
     radial_forces = [
-        _unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter)
-        for end in UNBALANCE
-        for quarter in (0.0, np.pi / 2)
+        _unbalance_force(plant.mass, speed, angle, *of_end, quarter)
+        for of_end in UNBALANCE.values()
+        for quarter in quarters
     ]
     force = np.column_stack(radial_forces) + _hover_force(rig, plant, (length + 1, 4), rng)
     radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
@@ -386,16 +383,14 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     clean = clean + linear.free_decay(clean, timing.sample_rate, 70.0, 0.2)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for quarter in (0.0, np.pi / 2):
-        wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[
-            timing.n_sample :
-        ]
-        displacement = clean + (rig.noise.hover * wander / np.sqrt(np.mean(wander**2)))
+        wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)
+        wander = wander[timing.n_sample :]
+        displacement = clean + rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
         if rotating:
             t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
             angle = 2 * np.pi * rig.speed * t - quarter
-            displacement = displacement + (
-                rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
-            )
+            orders = ((1, 1.0), (2, 0.25), (4, 0.12))
+            displacement += rig.unbalance * sum(share * np.cos(order * angle) for order, share in orders)
         samples.append(_noisy(displacement, rig.noise.displacement, rng))
     bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
     truth: dict[str, Any] = {
@@ -474,23 +469,15 @@ def log_table(recording: Recording) -> virtual_rigs.LoggedTable:
     """A run as the logger stores it: short runs as text, runs under the control loop as whole numbers."""
     if recording.name in LOOP_RUNS:
         return virtual_rigs.whole_numbers(recording)
-    columns = _recorded_columns(recording)
-    if recording.name not in TEXT_RUNS:
-        return virtual_rigs.LoggedTable(
-            {title: column.astype(np.float32) for title, column in columns.items()}
-        )
-    return virtual_rigs.LoggedTable(
-        {"t [s]": np.arange(recording.n_sample) / recording.sample_rate, **columns}, text=True
-    )
-
-
-def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
     columns = {}
     for number, channel in enumerate(recording.channels):
         unit, per_si = RECORDED[channel.name]
         title = "force" if channel.name == "f" else channel.name
         columns[f"{title} [{unit}]"] = recording.samples[:, number] * per_si
-    return columns
+    if recording.name in TEXT_RUNS:
+        time = np.arange(recording.n_sample) / recording.sample_rate
+        return virtual_rigs.LoggedTable({"t [s]": time, **columns}, text=True)
+    return virtual_rigs.LoggedTable({title: column.astype(np.float32) for title, column in columns.items()})
 
 
 def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> virtual_rigs.Truth:
