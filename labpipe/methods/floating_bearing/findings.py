@@ -141,7 +141,7 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
     # |X|^2 of complex noise of covariance C has the variance tr C^2; lines share noise, and its estimate.
     square = np.sum(np.abs(covariance) ** 2, axis=(-2, -1)) * weight**2
     lines = stator.omega.size
-    shared = stator.shared_power * (1 + 1 / dof if np.isfinite(dof) else 1.0)
+    shared = stator.noise.shared_power * (1 + 1 / dof if np.isfinite(dof) else 1.0)
     spread = float(np.sqrt(shared * np.sum(square) + noise.size**2 / min(dof * lines, 1e300)))
     relatively = float(np.sum(weight * np.sum(np.abs(relative) ** 2, axis=-1)))
     return float(np.sqrt(max(excess, 0.0) / relatively)), excess / spread

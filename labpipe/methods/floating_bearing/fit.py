@@ -316,8 +316,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     stator = stator_of(spectra, band, settings.input, settings.output)
     given = _given_numbers(settings, stator)
     balance = balance_of(stator, given)
-    noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
-    solved = _solved_fit(stator, given, balance, settings, noise)
+    noise, solved = stator.noise, _solved_fit(stator, given, balance, settings)
     likely = settings.estimates.likelihood
     best = solved.best
     error = stator_error(best, balance, noise) if likely else BalanceError(best.covariance)
@@ -410,10 +409,9 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
         raise ConfigError(f"conditions.{condition}: {error.what}", hint=hint) from None
 
 
-def _solved_fit(
-    stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise
-) -> Solved:
+def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSettings) -> Solved:
     section: DynamicStiffnessSettings = settings.model_settings
+    noise = stator.noise
     if not settings.estimates.likelihood:
         model = StiffnessModel(_form(section, balance.omega), section.symmetry)
         best, respond = least_squares(balance, model)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.spectra.bands import lines_in
 
 
 @dataclass(frozen=True)
@@ -332,6 +334,62 @@ class Noise:
         spread = self._excess_variance
         second = (effective - 2 + 4 * spread) / (spread - 1)
         return f_tail(squares / dof * second / (second - 2), effective, second)
+
+
+# The fewest lines of a balance.
+LEAST_LINES = 3
+
+
+@dataclass(frozen=True)
+class BalanceLines:
+    """Spectra of a balance on the lines of a fit.
+
+    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and their covariance (n_line, n_run,
+    n_channel, n_channel): all that was measured [SI units]; to_axes (n_axis, n_channel) [1]: what is balanced
+    is to_axes @ channels.
+    """
+
+    omega: FloatArray
+    channels: ComplexArray
+    covariance: ComplexArray
+    to_axes: FloatArray
+    spectra: ChannelSpectra
+    noise: Noise
+
+    @classmethod
+    def of(
+        cls,
+        spectra: ChannelSpectra,
+        band: tuple[float, float] | None,
+        to_axes: FloatArray,
+        equations: int,
+        cure: str = "",
+        **more: Any,
+    ) -> Self:
+        """The lines in a band [Hz], to_axes (n_axis, n_channel) [1]; FitError for too few, with a *cure*."""
+        lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+        n_line = int(np.count_nonzero(lines))
+        if n_line < LEAST_LINES:
+            hint = f"{LEAST_LINES} or more: widen `band`{cure}"
+            raise FitError(f"{n_line} lines in the band", hint=hint)
+        noise = Noise(spectra.covariance_dof, *shared_noise(spectra, n_line), equations)
+        omega = 2 * np.pi * spectra.frequency[lines]
+        return cls(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, noise, **more)
+
+    @property
+    def axes(self) -> ComplexArray:
+        """(n_line, n_run, n_axis) [SI units]: what is balanced."""
+        return self.channels @ self.to_axes.T
+
+
+def shared_noise(spectra: ChannelSpectra, n: int) -> tuple[float, float]:
+    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, among *n*:
+    factors of the noise that they share on the variance of a sum over lines, and on that of a sum of powers.
+    """
+    correlation = np.array(spectra.line_correlation, np.complex128)
+    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
+    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
+    return shared, 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
 
 
 def check(sides: Sequence[tuple[ComplexArray, ComplexArray]], noise: Noise, otherwise: str) -> None:

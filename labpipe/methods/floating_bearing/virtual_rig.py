@@ -335,6 +335,8 @@ def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = Fals
 
 def _random(rig: FloatingRig, rng: np.random.Generator) -> ComplexArray:
     inside, lines = rig.lines_in_band
+    if not inside.size:
+        raise SettingError("band", "no line of a whole recording lies in the band", "widen it")
     draws = rng.standard_normal((inside.size, 2)) + 1j * rng.standard_normal((inside.size, 2))
     draws = draws * (lines**rig.slope)[:, None]
     spectrum = np.zeros((rig.n_sample // 2 + 1, 2), np.complex128)

@@ -15,52 +15,37 @@ from math import factorial
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.methods.floating_bearing.stator import check_names, named_columns, shared_noise
+from labpipe.errors import ConfigError, SettingError
+from labpipe.methods.floating_bearing.likelihood import BalanceLines
+from labpipe.methods.floating_bearing.stator import check_names, named_columns
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.spectra.bands import lines_in
 
 CURRENT, DISPLACEMENT = "current", "displacement"
-LEAST_LINES = 3
 # Relative distance of two places along the axis below which they are one.
 SAME_PLACE = 1e-9
 
 
 @dataclass(frozen=True)
-class Levitation:
-    """Spectra of currents and displacements on the lines of a fit, and the rotor that ties them.
+class Levitation(BalanceLines):
+    """Currents [A], then displacements at the magnets [m], by to_axes (2 n, n_channel) [1], and the rotor
+    that ties them: mass (n, n) [kg] at the magnets.
 
-    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
-    n_channel) [SI units]; to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m],
-    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. Planes: numbers of the axes of every
-    plane. labels (n,) of the axes; bearing (n,): number of the bearing of each. shared, shared_power as for
-    `Noise`.
+    Planes: numbers of the axes of every plane. labels (n,) of the axes; bearing (n,): number of the bearing
+    of each.
     """
 
-    omega: FloatArray
-    channels: ComplexArray
-    covariance: ComplexArray
-    to_axes: FloatArray
     mass: FloatArray
     currents: tuple[Channel, ...]
     planes: tuple[tuple[int, ...], ...]
     labels: tuple[str, ...]
     bearing: tuple[int, ...]
-    spectra: ChannelSpectra
-    shared: float = 1.0
-    shared_power: float = 1.0
 
     @property
     def n_axis(self) -> int:
         return len(self.labels)
-
-    @property
-    def axes(self) -> ComplexArray:
-        """(n_line, n_run, 2 n) [A, m]: currents, then displacements."""
-        return self.channels @ self.to_axes.T
 
 
 def levitation_of(
@@ -79,32 +64,23 @@ def levitation_of(
     displacements = _choose(spectra, DISPLACEMENT, ("output",), names[1], "output")
     displacements = _pair(spectra.channels, currents, displacements)
     chosen = [spectra.channels[n] for n in currents]
-    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    if np.count_nonzero(lines) < LEAST_LINES:
-        hint = (
-            f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current "
-            "exceeds its noise are left out"
-        )
-        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=hint)
     n = len(currents)
-    shared, shared_power = shared_noise(spectra, int(np.count_nonzero(lines)))
     to_axes = np.zeros((2 * n, len(spectra.channels)))
     to_axes[np.arange(n), currents] = 1.0
     at_magnets, bearing, planes = _at_magnets(chosen, [spectra.channels[k] for k in displacements])
     to_axes[n:, displacements] = at_magnets
-    return Levitation(
-        omega=2 * np.pi * spectra.frequency[lines],
-        channels=spectra.vectors[lines],
-        covariance=spectra.covariance[lines],
-        to_axes=to_axes,
+    cure = ", or raise the level, since lines at which no current exceeds its noise are left out"
+    return Levitation.of(
+        spectra,
+        band,
+        to_axes,
+        n,
+        cure,
         mass=mass_matrix(chosen, planes, mass, settings),
         currents=tuple(chosen),
         planes=planes,
         labels=tuple(channel.dof for channel in chosen),
         bearing=bearing,
-        spectra=spectra,
-        shared=shared,
-        shared_power=shared_power,
     )
 
 

@@ -210,23 +210,18 @@ def certificate(
     """The certificate of the loops of one test. ConfigError for channels and settings that do not fit
     together, FitError without a covariance.
     """
-    certificate_settings = resolve(settings)
+    own = resolve(settings)
     if file is None:
         able = ("before", "after", "test", "log_decrement", "zone", "confidence")
-        certificate_settings.check_written(
-            able, "there is no theory", "theory: {bearing: FILE}, or leave it out"
-        )
-    matrix = sensitivity.sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
+        own.check_written(able, "there is no theory", "theory: {bearing: FILE}, or leave it out")
+    matrix = sensitivity.sensitivity_matrix(response, own.before, own.after)
     loops = [matrix.loop(number) for number in range(len(matrix.loops))]
     peaks = [sensitivity.peak_of(loop) for loop in loops]
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
-    model = None if file is None else _fit(settings, certificate_settings, response, matrix, file)
+    model = None if file is None else _fit(settings, own, response, matrix, file)
     trusted, rejected = (None, "") if model is None else (model.trusted, model.rejected)
-    limits = [
-        _zone_limit(certificate_settings, worst, trusted),
-        *_decrement_limits(certificate_settings, model),
-    ]
+    limits = [_zone_limit(own, worst, trusted), *_decrement_limits(own, model)]
     amounts, budgets = list(measured_amounts), [budget]
     if model is not None and model.loop is not None:
         of_loop, budget = model.loop.parameters(normal_quantile(0.975))
@@ -237,14 +232,14 @@ def certificate(
         amounts += [*goodness(model.fit), *model.fit.parameters]
         budgets.append(model.fit.budget)
     unfounded = (*OF_LOOP, *settings.estimate) if rejected else ()
-    verdict = verdict_of(limits, certificate_settings.confidence)
+    verdict = verdict_of(limits, own.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
     statement = f"{verdict.capitalize()}: {'; '.join(parts)}."
     return Comparison(
         name=settings.name,
         kind="certificate",
-        subject=f"closed loop by {', '.join(certificate_settings.after)}",
+        subject=f"closed loop by {', '.join(own.after)}",
         unit="1",
         points=(),
         amounts=tuple(amounts),
@@ -298,7 +293,7 @@ def resolve(settings: CompareSettings) -> CertificateSettings:
         raise SettingError(min(twice), what, "leave them out of one")
     if certificate.after:
         return certificate
-    return replace(certificate, before=certificate.before or (settings.before,), after=(settings.after,))
+    return replace(certificate, before=(settings.before,), after=(settings.after,))
 
 
 def _measured_amounts(

@@ -136,7 +136,7 @@ def magnet_error(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> 
         motion=axes[..., n:],
         size=np.sqrt(np.mean(np.abs(inertia) ** 2, axis=(0, 1))),
         gains=np.einsum("lac,lrc->clra", rows, axes),
-        larger=likelihood.noise_of(rotor).inflation,
+        larger=rotor.noise.inflation,
     )
     cause = (
         "the rotor is no rigid mass in the band (bending, a moving housing), another force acts, the mass is "
@@ -245,25 +245,19 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
-    magnet_settings: MagnetSettings = settings.model_settings
+    own: MagnetSettings = settings.model_settings
     mass: FloatArray | float = settings.mass if isinstance(settings.mass, float) else np.array(settings.mass)
     if np.ndim(mass) == 1:
         mass = np.diag(mass)
-    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
+    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, own)
     between = None
-    if magnet_settings.hold is not None:
-        between = balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
+    if own.hold is not None:
+        between = balance.Between(own.hold, own.amplifier_bandwidth)
         if rotor.omega[-1] > np.pi * between.rate:
             what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
             raise SettingError("hold", what, "hold is the rate of the recording")
-    model = balance.magnet_model(
-        rotor.labels,
-        rotor.bearing,
-        rotor.mass,
-        magnet_settings.coupling,
-        magnet_settings.passive_damping,
-        between,
-    )
+    coupling, damping = own.coupling, own.passive_damping
+    model = balance.magnet_model(rotor.labels, rotor.bearing, rotor.mass, coupling, damping, between)
     best = likelihood.magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
@@ -278,13 +272,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *error.finding,
         *likelihood.late_findings(rotor, best),
         *sign_findings(model, fit.parameters),
-        *few_averages(likelihood.noise_of(rotor)),
+        *few_averages(rotor.noise),
         *spectra.findings,
     )
     curve = draw(rotor, best)
     plants: tuple[RobustPlant, ...] = ()
     if curve is not None:
-        plants = (robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence),)
+        plants = (robust_plant(best, curve, spectra.covariance_dof, own.band_confidence),)
     return replace(
         fit,
         findings=findings,
@@ -300,8 +294,8 @@ def _uncertainties_of_mass(
     rotor: balance.Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
-    magnet_settings: MagnetSettings = settings.model_settings
-    of_mass, inertia = dict(settings.uncertainties).get("mass"), magnet_settings.inertia
+    own: MagnetSettings = settings.model_settings
+    of_mass, inertia = dict(settings.uncertainties).get("mass"), own.inertia
     given: list[tuple[Uncertainty, FloatArray]] = []
 
     def add(name: str, number: Uncertain, unit: str, larger: float, with_larger: MagnetSettings) -> None:
@@ -312,10 +306,10 @@ def _uncertainties_of_mass(
     if not isinstance(mass, float):
         return given
     if of_mass is not None and of_mass.std_error > 0:
-        add("mass of the rotor", of_mass, "kg", mass + of_mass.std_error, magnet_settings)
+        add("mass of the rotor", of_mass, "kg", mass + of_mass.std_error, own)
     if inertia is not None and inertia.std_error > 0:
         larger = Uncertain(inertia.value + inertia.std_error)
-        add("moment of inertia", inertia, "kg.m^2", mass, replace(magnet_settings, inertia=larger))
+        add("moment of inertia", inertia, "kg.m^2", mass, replace(own, inertia=larger))
     return given
 
 
@@ -369,9 +363,9 @@ class Block:
     def reported(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Parameters (n,) [their units] and their slopes (n,) over the values."""
         shown = np.exp(values)
-        shown[0], shown[1] = self.sign * shown[0], values[1] / self.highest
-        slopes = np.abs(shown)
-        slopes[1] = 1 / self.highest
+        shown[0] *= self.sign
+        slopes = shown.copy()
+        shown[1], slopes[1] = values[1] / self.highest, 1 / self.highest
         return shown, slopes
 
 
@@ -422,13 +416,11 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
             hint = f"{LEAST_LINES} or more: widen `band`"
             raise FitError(f"{measured.omega.size} lines in the band", hint=hint)
         orders = ORDERS[1:] if auto else [block_settings.order]
-        minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
-        if not minima:
+        minima = filter(None, (_most_likely(measured, int(order)) for order in orders))
+        pairs = [(_candidate(measured, *minimum), minimum) for minimum in minima]
+        if not pairs:
             raise FitError("no block can be determined by these lines", hint="widen the band")
-        pairs = sorted(
-            ((_candidate(measured, *minimum), minimum) for minimum in minima),
-            key=lambda pair: pair[0].bic or 0.0,
-        )
+        pairs.sort(key=lambda pair: pair[0].bic or 0.0)
         candidates = tuple(candidate for candidate, _ in pairs) if auto else ()
         fits.append(_report(measured, response, settings, *pairs[0][1], candidates))
     return tuple(fits)
@@ -472,9 +464,7 @@ def _report(
 ) -> Fit:
     best = _candidate(measured, problem, minimum)
     jacobian = problem.jacobian(minimum.values)
-    covariance = weight_uncertainty(measured, best.dof).inflation * np.linalg.pinv(
-        jacobian.T @ jacobian, hermitian=True
-    )
+    inflation = weight_uncertainty(measured, best.dof).inflation
     assert best.chi2_p is not None
     factor = float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p < MISMATCH_P else 1.0
     design = triangle_of(jacobian)
@@ -483,8 +473,9 @@ def _report(
     r2, adjusted = determination(measured.matrix, measured.matrix - fitted, values.size)
     gof = Goodness(r2, adjusted, best.chi2 / best.dof, best.chi2_p)
     names, units = zip(*problem.block.names, strict=True)
-    errors = np.outer(slopes, slopes) * covariance
-    covariances, vifs = (errors, factor**2 * errors), inflation_factors(design)
+    inner = inflation * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance, vifs = np.outer(slopes, slopes) * inner, inflation_factors(design)
+    covariances = covariance, factor**2 * covariance
     valued = plain_values(names, units, values, covariances, best.dof, vifs)
     as_estimate = Estimate(
         values=values,

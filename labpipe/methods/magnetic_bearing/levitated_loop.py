@@ -168,6 +168,8 @@ class LevitatedRig(Settings):
         _whole(self.control.rate / self.sample_rate, what)
         what = "a period of the injection holds no whole number of samples"
         _whole(self.sample_rate / self.injection.spacing, what)
+        if self.injection.duration * self.sample_rate < 1:
+            raise SettingError("injection", "its duration holds no sample", "for example duration: 20 s")
         if not self.injection.band[1] < self.sample_rate / 2:
             what = f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
             raise SettingError("injection", what)

@@ -164,11 +164,6 @@ class MagnetEstimate(likelihood.BalanceEstimate[MagnetModel]):
     amplification: FloatArray
 
 
-def noise_of(rotor: Levitation) -> likelihood.Noise:
-    """How far the covariance of the channels is known, for as many equations as there are axes."""
-    return likelihood.Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
-
-
 def magnet_estimate(
     rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()
 ) -> MagnetEstimate:
@@ -177,7 +172,7 @@ def magnet_estimate(
 
     FitError for too few lines, a covariance from too few periods, channels without noise.
     """
-    noise, n = noise_of(rotor), len(model.names)
+    noise, n = rotor.noise, len(model.names)
     n_equation = 2 * rotor.omega.size * rotor.channels.shape[1] * rotor.n_axis
     if n_equation <= n:
         hint = "widen the band, or `coupling: direct`"
@@ -291,7 +286,7 @@ def _late(
     problem: LateLikelihood, start_at: FloatArray, best: MagnetEstimate, name: str
 ) -> tuple[float, Finding] | None:
     """Chi-square with the delay, and the finding; None where it explains too little."""
-    model, noise = problem.model, noise_of(problem.rotor)
+    model, noise = problem.model, problem.rotor.noise
     try:
         minimum = minimise(problem, start_at, NEAR, MOST_STEPS)
         covariance = noise.inflation * likelihood.inverse_information(problem.jacobian(minimum.values))

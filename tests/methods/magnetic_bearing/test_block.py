@@ -93,6 +93,15 @@ def test_a_delay_that_turns_the_phase_of_the_lowest_line(low: float, delay: floa
     assert found == pytest.approx({"gain": 2.0, "delay": delay, "corner_frequency": 1000.0}, rel=1e-5)
 
 
+def test_a_gain_of_the_other_sign_turns_its_correlations() -> None:
+    """A larger gain is a smaller one in size where it is negative."""
+    plain = response(1)
+    one, other = (fitted(replace(plain, matrix=sign * plain.matrix), "1") for sign in (1, -1))
+    signs = np.outer([-1, 1, 1], [-1, 1, 1])
+    np.testing.assert_allclose(np.array(other.correlation), signs * np.array(one.correlation), atol=1e-4)
+    assert abs(one.correlation[0][2]) > 0.3
+
+
 def test_too_low_an_order_is_said() -> None:
     fit = fitted(response(2, 0.01), "1")
     assert "model-mismatch" in [finding.code for finding in fit.findings] and fit.gof.chi2_reduced > 10
