@@ -54,24 +54,16 @@ def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Susp
     whatever gains *loop* has.
     """
     levitation = rig.levitation
-    return Suspended(
-        loop or levitation.loop,
-        negative_stiffness(levitation),
-        rig.rotor_mass,
-        levitation.bearings,
-        rig.pedestal_stiffness,
-        rig.pedestal_damping,
-    )
+    pedestal = rig.pedestal_stiffness, rig.pedestal_damping
+    pull, own = negative_stiffness(levitation), loop or levitation.loop
+    return Suspended(own, pull, rig.rotor_mass, levitation.bearings, *pedestal)
 
 
 def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     """The share of the levitated rotor that one bearing carries."""
     levitation = rig.levitation
-    return Suspended(
-        levitation.loop,
-        negative_stiffness(levitation),
-        (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings,
-    )
+    mass = (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings
+    return Suspended(levitation.loop, negative_stiffness(levitation), mass)
 
 
 def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
@@ -253,18 +245,15 @@ class OneDofRun:
 
 def pedestal(rig: VirtualMagneticRig) -> OneDofRun:
     """The pedestal alone: 1-100 Hz every 0.5 Hz."""
-    force = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE)
-    return OneDofRun(
-        force, Timing(1000.0, 0.5, 3), "y", rig.pedestal_mass, rig.pedestal_stiffness, rig.pedestal_damping
-    )
+    force, timing = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE), Timing(1000.0, 0.5, 3)
+    support = rig.pedestal_stiffness, rig.pedestal_damping
+    return OneDofRun(force, timing, "y", rig.pedestal_mass, *support)
 
 
 def axial(rig: VirtualMagneticRig) -> OneDofRun:
     """The axial direction: 1-50 Hz every 0.5 Hz."""
-    force = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE)
-    return OneDofRun(
-        force, Timing(500.0, 0.5, 1), "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping
-    )
+    force, timing = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE), Timing(500.0, 0.5, 1)
+    return OneDofRun(force, timing, "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping)
 
 
 ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": pedestal, "axial": axial}
@@ -311,11 +300,8 @@ def simulate(
     """The named runs, all of `run_names` unless named. The same rig and seed give the same samples, whatever
     other runs are made.
     """
-    by_name = {**RUNS, **_loop_runs(rig)}
-    return tuple(
-        by_name[name](rig, name, virtual_rigs.generator(seed, name))
-        for name in virtual_rigs.chosen_runs(rig, runs)
-    )
+    by_name, names = {**RUNS, **_loop_runs(rig)}, virtual_rigs.chosen_runs(rig, runs)
+    return tuple(by_name[name](rig, name, virtual_rigs.generator(seed, name)) for name in names)
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
