@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.distributions import normal_quantile, normal_tail
-from labpipe.errors import ConfigError, SettingError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports, matrix_errors, measured_part
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
@@ -250,6 +250,8 @@ def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: s
 
 # Powers of ten by which a signal of a wrong unit or sensitivity is off.
 POWERS = (-9, -6, -3, -2, -1, 1, 2, 3, 6, 9)
+# Share of the noise of a signal that is its own below which it is rounding.
+EXACT = 1e-10
 # So many causes that come nearest before a fit are fitted.
 FITTED_CAUSES = 4
 
@@ -277,6 +279,13 @@ def recorded_loop(
     measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
     # sensitivity_matrix has refused a response without noise.
     assert measured.covariance is not None
+    size = np.sqrt(np.einsum("lcc->lc", measured.covariance).real)
+    scaled = measured.covariance / np.maximum(size[:, :, None] * size[:, None], np.finfo(float).tiny)
+    exact = np.flatnonzero(np.linalg.eigvalsh(scaled)[:, 0] < EXACT)
+    if exact.size:
+        what = f"the noise at {response.frequency[exact[0]]:g} Hz is that of fewer signals than are named"
+        why = "one has none, or is the sum of others (after = before + excitation of a digital controller)"
+        raise FitError(f"{what}: {why}", hint="leave one out: `after` alone, where the excitation is exact")
     weights = np.linalg.inv(measured.covariance)
 
     def per_added(changed: MagneticFile) -> ComplexArray:

@@ -124,6 +124,20 @@ def test_points_are_named_once_and_a_theory_is_of_one_loop(rng: np.random.Genera
         certificate(asked(**points, rate=None, filtered=True), measured, FILE)
 
 
+def test_signals_that_are_sums_of_others_are_refused(rng: np.random.Generator) -> None:
+    """A controller that adds the excitation itself records after = before + excitation to the last bit."""
+    measured = response(rng)
+    exact, silent = measured.covariance.copy(), measured.covariance.copy()
+    exact[:, 1], exact[:, :, 1] = exact[:, 0], exact[:, :, 0]
+    exact[:, 1, 1] = exact[:, 0, 0]
+    silent[3, 3], silent[3, :, 3] = 0, 0
+    for covariance, at in ((exact, "10 Hz"), (silent, "25 Hz")):
+        with pytest.raises(FitError, match=f"the noise at {at} is that of fewer signals"):
+            certificate(
+                asked(before=("before",), after=("after",)), replace(measured, covariance=covariance), FILE
+            )
+
+
 def test_margins_without_a_model_hold_the_truth() -> None:
     """50 draws at 0.5 % of noise.
 
