@@ -469,13 +469,16 @@ def sensitivity_matrix(
     if response.covariance is None:
         hint = "average several periods or blocks"
         raise FitError("the noise of the response is not known, so nothing has an interval", hint=hint)
+    if response.frequency[0] == 0:
+        raise FitError("a loop is not excited at 0 Hz", hint="begin `band` above it, or leave the line out")
     h_after = response.matrix[:, rows]
     unit = np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
     added = h_after - response.matrix[:, ahead] if ahead else unit
     least = np.linalg.svd(added, compute_uv=False)[:, -1]
-    if np.any(least < SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2))):
-        hint = "record one ahead of the sum and one behind it"
-        raise FitError("both sides of a sum are the same signal", hint=hint)
+    same = np.flatnonzero(least <= SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2)))
+    if same.size:
+        what = f"both sides of a sum are the same signal at {response.frequency[same[0]]:g} Hz"
+        raise FitError(what, hint="record one ahead of the sum and one behind it")
     inverse = np.linalg.inv(added)
     values = h_after @ inverse
     # dS = (dH_after - S (dH_after - dH_before)) added^-1.
@@ -485,6 +488,10 @@ def sensitivity_matrix(
         picked[:, :, ahead] += values
     slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)
     covariance = slopes @ response.covariance @ slopes.conj().swapaxes(1, 2)
+    silent = np.einsum("lcc->l", covariance).real <= 0
+    if silent.any() and not silent.all():
+        what = f"the line at {response.frequency[np.argmax(silent)]:g} Hz has no noise, unlike the others"
+        raise FitError(what, hint="leave it out (`exclude`), or average several periods or blocks")
     used = list(dict.fromkeys([*rows, *ahead]))
     errors = tuple(
         replace(error, change=picked[:, :, used] @ error.change @ inverse)

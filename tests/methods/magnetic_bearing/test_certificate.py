@@ -124,6 +124,20 @@ def test_points_are_named_once_and_a_theory_is_of_one_loop(rng: np.random.Genera
         certificate(asked(**points, rate=None, filtered=True), measured, FILE)
 
 
+def test_lines_that_tell_no_sensitivity_are_refused(rng: np.random.Generator) -> None:
+    """Nothing on both sides, no noise on one of the lines, and a line at 0 Hz, which has no logarithm."""
+    measured = response(rng)
+    nothing, silent, frequency = measured.matrix.copy(), measured.covariance.copy(), FREQUENCY.copy()
+    nothing[3], silent[3], frequency[0] = 0, 0, 0
+    for change, said in (
+        ({"matrix": nothing}, "the same signal at 25 Hz"),
+        ({"covariance": silent}, "the line at 25 Hz has no noise"),
+        ({"frequency": frequency}, "not excited at 0 Hz"),
+    ):
+        with pytest.raises(FitError, match=said):
+            sensitivity_matrix(replace(measured, **change), ("before",), ("after",))
+
+
 def test_signals_that_are_sums_of_others_are_refused(rng: np.random.Generator) -> None:
     """A controller that adds the excitation itself records after = before + excitation to the last bit."""
     measured = response(rng)
