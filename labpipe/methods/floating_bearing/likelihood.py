@@ -374,6 +374,8 @@ class BalanceLines:
             raise FitError(f"{n_line} lines in the band", hint=hint)
         noise = Noise(spectra.covariance_dof, *shared_noise(spectra, n_line), equations)
         omega = 2 * np.pi * spectra.frequency[lines]
+        if omega[0] == 0:
+            raise FitError("nothing moves at 0 Hz", hint="begin `band` above it")
         return cls(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, noise, **more)
 
     @property

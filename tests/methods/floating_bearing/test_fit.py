@@ -402,6 +402,15 @@ def test_what_does_not_fit_is_refused(keys: dict[str, object], error: type[Excep
         fitted(drawn(), **keys)
 
 
+@pytest.mark.parametrize("estimator", ["ml", "ls"])
+def test_a_line_at_rest_is_refused(estimator: str) -> None:
+    """Z_b / w^2 of the baseline is no number at 0 Hz."""
+    spectra = drawn()
+    at_rest = replace(spectra, frequency=np.append(0.0, spectra.frequency[1:]))
+    with pytest.raises(FitError, match="nothing moves at 0 Hz"):
+        fitted(at_rest, estimator=estimator, **GIVEN)
+
+
 def test_one_run_is_not_enough_for_least_squares() -> None:
     with pytest.raises(FitError, match="two runs with independent forces at every line"):
         fitted(drawn(replace(EVEN, excitation="zipper")), estimator="ls", **GIVEN)
