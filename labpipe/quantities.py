@@ -204,15 +204,24 @@ def _power(text: str) -> float:
 
 
 def _factors(text: str) -> list[tuple[str, float]]:
-    """(symbol, power) of a compound unit; everything behind a '/' is divided by."""
+    """(symbol, power) of a compound unit; everything behind a '/' is divided by, up to the end of its
+    parentheses.
+    """
     factors: list[tuple[str, float]] = []
-    sign = 1.0
+    # Of every open parenthesis, and of the last one that was closed: its sign, and the number of factors
+    # before it.
+    groups, sign, last = [(1.0, 0)], 1.0, 0
     for token in _TOKEN.findall(text):
         if token == "/":
-            sign = -1.0
+            sign = -groups[-1][0]
+        elif token == "(":
+            groups.append((sign, len(factors)))
+        elif token == ")" and len(groups) > 1:
+            sign, last = groups.pop()
         elif token.startswith("^") and factors:
-            factors[-1] = (factors[-1][0], factors[-1][1] * _power(token))
+            factors[last:] = [(symbol, power * _power(token)) for symbol, power in factors[last:]]
         elif token.strip(" .*·()\t"):
+            last = len(factors)
             factors.append((token, sign))
     if text.count("(") != text.count(")") or not factors:
         raise UnitError(f"unreadable unit '{text}'", "write it as N.s/m or m/(N.s^2)")

@@ -226,3 +226,19 @@ def test_units_of_workshops_and_the_two_meanings_of_g(text: str, si_unit: str, v
 def test_a_mass_is_no_force(text: str) -> None:
     with pytest.raises(UnitError, match="wrong dimension, N is needed"):
         parse_value(text, "N")
+
+
+@pytest.mark.parametrize(
+    ("nested", "plain"),
+    [
+        ("V/(m/s^2)", "V.s^2/m"),
+        ("mV/(mm/ms^2)", "mV.ms^2/mm"),
+        ("N/(m/s)^2", "N.s^2/m^2"),
+        ("(m/s)^2", "m^2/s^2"),
+        ("m/(N.(s/A)^2).K", "m.A^2/(N.s^2.K)"),
+        ("kg/m/s", "kg/(m.s)"),
+    ],
+)
+def test_quotients_and_powers_of_parentheses(nested: str, plain: str) -> None:
+    assert parse_unit(nested).dimension == parse_unit(plain).dimension
+    assert parse_unit(nested).factor == pytest.approx(parse_unit(plain).factor, rel=1e-12)

@@ -96,40 +96,33 @@ def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) ->
 
     positions, slopes (n_position,).
     """
-    order = np.argsort(np.abs(positions))
-    beyond = np.abs(slopes[order] - slopes[order[0]]) > tolerance * abs(slopes[order[0]])
-    reach = int(np.argmax(beyond)) if np.any(beyond) else beyond.size
-    return float(np.abs(positions[order[reach - 1]]))
+    sizes = np.abs(positions)
+    centre = slopes[np.argmin(sizes)]
+    beyond = np.abs(slopes - centre) > tolerance * abs(centre)
+    # Of two positions at one distance both have to be within.
+    return float(np.max(sizes[sizes < np.min(sizes[beyond], initial=np.inf)], initial=np.min(sizes)))
 
 
 def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> float:
     """Largest range of x [its unit], from the smallest up, with a slope within *tolerance* [1] of the line
     through the first third.
 
-    x, y (n_point,).
+    x, y (n_point,). FitError where no point lies beyond the first line.
     """
     order = np.argsort(x)
     x, y = x[order], y[order]
-    start = max(3, x.size // 3)
-    reference = fit_line(x[:start], y[:start]).slope
-    reach = start
-    for end in range(start + 1, x.size + 1):
-        local = fit_line(x[end - start : end], y[end - start : end]).slope
-        if abs(local / reference - 1) > tolerance:
-            break
-        reach = end
-    return float(x[reach - 1] - x[0])
+    # Two values of x at least are in every line, however often each was set.
+    width = max(3, x.size // 3, 1 + int(np.max(np.unique(x, return_counts=True)[1])))
+    if width >= x.size:
+        raise FitError(f"{x.size} points do not show where a line ends", hint="more of them, or no tolerance")
+    lines = [slice(end - width, end) for end in range(width, x.size + 1)]
+    slopes = np.array([fit_line(x[line], y[line]).slope for line in lines])
+    beyond = np.flatnonzero(np.abs(slopes - slopes[0]) > tolerance * abs(slopes[0]))
+    last = int(beyond[0]) - 1 if beyond.size else len(lines) - 1
+    return float(x[lines[last].stop - 1] - x[0])
 
 
-def line_fit(
-    name: str,
-    test: str,
-    line: Line,
-    units: tuple[str, str],
-    x: FloatArray,
-    y: FloatArray,
-    extra: tuple[Parameter, ...] = (),
-) -> Fit:
+def line_fit(name: str, test: str, line: Line, units: tuple[str, str], x: FloatArray, y: FloatArray) -> Fit:
     """A line through x, y (n_point,) as a Fit: slope and intercept [*units*], a warning for curved points."""
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
@@ -137,7 +130,13 @@ def line_fit(
         estimated(parameter, unit, float(value), float(error), line.dof, None)
         for parameter, unit, value, error in zip(names, units, line.values, std_errors, strict=False)
     )
-    n = x.size
+    n, p_value = x.size, curvature_p(x, y)
+    findings: tuple[Finding, ...] = ()
+    if p_value is not None and p_value < CURVATURE_P:
+        share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
+        bent = f"the points bend (p = {p_value:.2g} for a straight line)"
+        what = f"{bent}; the largest deviation is {share:.2g} % of the range"
+        findings = (Finding("model-mismatch", what),)
     return Fit(
         name=name,
         model=STRAIGHT_LINE,
@@ -147,21 +146,12 @@ def line_fit(
         equations=n,
         dof=line.dof,
         gof=Goodness(line.r2, 1 - (1 - line.r2) * (n - 1) / line.dof),
-        parameters=(*parameters, *extra),
+        parameters=parameters,
         condition_number=line.condition_number,
         correlation=correlation(line.covariance),
-        findings=_curvature_findings(curvature_p(x, y), line, y),
+        findings=findings,
         test=test,
     )
-
-
-def _curvature_findings(p_value: float | None, line: Line, y: FloatArray) -> tuple[Finding, ...]:
-    if p_value is None or p_value >= CURVATURE_P:
-        return ()
-    share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
-    bent = f"the points bend (p = {p_value:.2g} for a straight line)"
-    what = f"{bent}; the largest deviation is {share:.2g} % of the range"
-    return (Finding("model-mismatch", what),)
 
 
 @dataclass(frozen=True)
@@ -190,10 +180,8 @@ class CalibrationSettings(Settings):
             raise SettingError(name, f"'{getattr(self, name)}' is a column of the line already")
 
 
-@dataclass(frozen=True)
-class _Column:
-    values: FloatArray
-    unit: str
+# Values (n_row,) [SI] of a column and their unit.
+Column = tuple[FloatArray, str]
 
 
 def run_calibrations(
@@ -217,44 +205,52 @@ def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:
 
 def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
     table = open_table(settings.path)
-    names = [settings.x, settings.y, *([settings.group] if settings.group else [])]
+    names = [name for name in (settings.x, settings.y, settings.group) if name]
     check_columns(table, names)
-    values = np.concatenate(list(table.chunks(names)))
-    if not np.all(np.isfinite(values)):
-        row, column = (int(n) for n in np.argwhere(~np.isfinite(values))[0])
-        raise DataError(f"column '{names[column]}' has no number in row {row + 1}")
-    x, power = _column(table, settings.x, settings.x_unit, values[:, 0]), settings.x_power
-    if power > 1:
-        x = _Column(x.values**power, x.unit if x.unit == "1" else f"{x.unit}^{power}")
-    y = _column(table, settings.y, settings.y_unit, values[:, 1])
+    columns = np.concatenate(list(table.chunks(names))).T
+    x = _column(table, settings.x, columns[0], settings.x_unit, settings.x_power)
+    y = _column(table, settings.y, columns[1], settings.y_unit)
     if settings.group:
-        return _group(settings, x, y, _column(table, settings.group, "", values[:, 2]))
-    line = fit_line(x.values, y.values, through_origin=settings.through_origin)
-    extra: tuple[Parameter, ...] = ()
-    if settings.tolerance is not None:
-        reach = linear_range_of_curve(x.values, y.values, settings.tolerance)
-        extra = (Parameter("linear_range", reach, x.unit, derived=True),)
-    return [line_fit(settings.name, "", line, _units(x, y), x.values, y.values, extra)]
+        group = _column(table, settings.group, columns[2])
+        return _group(settings, x, y, group, settings.group in table.units)
+    fit = _line_of(settings, "", x, y)
+    if settings.tolerance is None:
+        return [fit]
+    return [_with_range(fit, linear_range_of_curve(x[0], y[0], settings.tolerance), x[1])]
 
 
-def _group(settings: CalibrationSettings, x: _Column, y: _Column, group: _Column) -> list[Fit]:
-    positions = np.unique(group.values)
-    fits = []
-    for position in positions:
-        in_group = group.values == position
-        line = fit_line(x.values[in_group], y.values[in_group], through_origin=settings.through_origin)
-        at = f"{100 * position:g} %" if group.unit == "1" else f"{position:g} {group.unit}"
-        test = f"{settings.group.split(' [')[0]} {at}"
-        fits.append(line_fit(settings.name, test, line, _units(x, y), x.values[in_group], y.values[in_group]))
-    if settings.tolerance is not None:
-        slopes = np.array([fit.parameter("slope").value for fit in fits])
-        reach = linear_range(positions, slopes, settings.tolerance)
-        stated = Parameter("linear_range", reach, group.unit, derived=True)
-        fits = [replace(fit, parameters=(*fit.parameters, stated)) for fit in fits]
-    return fits
+def _line_of(settings: CalibrationSettings, test: str, x: Column, y: Column) -> Fit:
+    per = "" if x[1] == "1" else f"/({x[1]})" if "/" in x[1] else f"/{x[1]}"
+    try:
+        line = fit_line(x[0], y[0], through_origin=settings.through_origin)
+    except FitError as error:
+        error.what = f"{test}: {error.what}" if test else error.what
+        raise
+    return line_fit(settings.name, test, line, (y[1] + per, y[1]), x[0], y[0])
 
 
-def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column:
+def _with_range(fit: Fit, reach: float, unit: str) -> Fit:
+    stated = Parameter("linear_range", reach, unit, derived=True)
+    return replace(fit, parameters=(*fit.parameters, stated))
+
+
+def _group(settings: CalibrationSettings, x: Column, y: Column, group: Column, share: bool) -> list[Fit]:
+    (positions, unit), label = group, settings.group.split(" [")[0]
+    values, fits = np.unique(positions), []
+    for value in values:
+        inside = positions == value
+        # A share is read in percent, the number of a sensor as it stands.
+        at = f"{value:.12g} {unit}" if unit != "1" else f"{100 * value:.12g} %" if share else f"{value:.12g}"
+        test = f"{label} {at}"
+        fits.append(_line_of(settings, test, (x[0][inside], x[1]), (y[0][inside], y[1])))
+    if settings.tolerance is None:
+        return fits
+    slopes = np.array([fit.parameter("slope").value for fit in fits])
+    reach = linear_range(values, slopes, settings.tolerance)
+    return [_with_range(fit, reach, unit) for fit in fits]
+
+
+def _column(table: Table, name: str, values: FloatArray, stated: str = "", power: int = 1) -> Column:
     header = table.units.get(name, "")
     try:
         unit = parse_unit(stated or header or "1")
@@ -263,13 +259,16 @@ def _column(table: Table, name: str, stated: str, values: FloatArray) -> _Column
     if header and stated and not may_agree(stated, header):
         what = f"column '{name}' is in {header} by the file's own header, in {stated} by the entry"
         raise ConfigError(what, hint="leave the unit out of the entry, or correct it")
-    return _Column(values * unit.factor + unit.offset, si_name(unit))
-
-
-def _units(x: _Column, y: _Column) -> tuple[str, str]:
-    if x.unit == "1":
-        return y.unit, y.unit
-    return (f"{y.unit}/{x.unit}" if "/" not in x.unit else f"{y.unit}/({x.unit})"), y.unit
+    si = si_name(unit)
+    with np.errstate(over="ignore"):
+        powered = (values * unit.factor + unit.offset) ** power
+    if not np.all(np.isfinite(powered)):
+        row = int(np.argmin(np.isfinite(powered)))
+        of_power = f" to the power {power}" if np.isfinite(values[row]) else ""
+        raise DataError(f"column '{name}'{of_power} has no number in row {row + 1}")
+    if power > 1 and si != "1":
+        si = f"({si})^{power}" if "/" in si else f"{si}^{power}"
+    return powered, si
 
 
 _SI_NAMES = ("m", "N", "V", "A", "kg", "s", "Hz", "rad", "K", "1", "Pa", "m/s", "m/s^2", "N/m", "N.s/m", "T")

@@ -18,7 +18,7 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, Noise, times
 from labpipe.methods.floating_bearing.settings import Given
 from labpipe.methods.floating_bearing.stator import Stator, shown_stiffness
-from labpipe.methods.floating_bearing.values import LIMIT, FittedStiffness, Whirl, effective
+from labpipe.methods.floating_bearing.values import FittedStiffness, Whirl, effective
 from labpipe.records.finding import Discrepancy, Finding, Parameter, note
 from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty
 
@@ -38,7 +38,7 @@ def shown_course(
     course = effective(fit.model, fit.values, fit.whole, omega, sense)
 
     def ends(value: np.ndarray, error: np.ndarray) -> np.ndarray:
-        return np.stack([value, value - LIMIT * error, value + LIMIT * error], axis=-1)
+        return np.stack([value, value - fit.limit * error, value + fit.limit * error], axis=-1)
 
     return DynamicStiffness(
         fit.model.form.name,
@@ -141,7 +141,7 @@ def shaft_motion(stator: Stator) -> tuple[float, float] | None:
     # |X|^2 of complex noise of covariance C has the variance tr C^2; lines share noise, and its estimate.
     square = np.sum(np.abs(covariance) ** 2, axis=(-2, -1)) * weight**2
     lines = stator.omega.size
-    shared = stator.shared_power * (1 + 1 / dof if np.isfinite(dof) else 1.0)
+    shared = stator.noise.shared_power * (1 + 1 / dof if np.isfinite(dof) else 1.0)
     spread = float(np.sqrt(shared * np.sum(square) + noise.size**2 / min(dof * lines, 1e300)))
     relatively = float(np.sum(weight * np.sum(np.abs(relative) ** 2, axis=-1)))
     return float(np.sqrt(max(excess, 0.0) / relatively)), excess / spread
@@ -188,18 +188,12 @@ def given_notes(
             return ()
         stated = f"{' and '.join(numbers)} {'counts' if len(numbers) == 1 else 'count'} as exact"
         return (f"dynamic-stiffness: {stated}: give the uncertainty where there is one (60 kg +- 0.6 kg).",)
-    names = fit.model.names
-    lines = []
+    variance, lines = np.maximum(np.diag(fit.noise), np.finfo(float).tiny), []
     for uncertainty in uncertainties:
-        share = np.sqrt(
-            np.sum(uncertainty.changes**2, axis=0) / np.maximum(np.diag(fit.noise), np.finfo(float).tiny)
-        )
-        most = int(np.argmax(share))
-        size = (
-            f"{share[most]:.2g} times the standard error of noise in {names[most]}"
-            if share[most] > CANCELS
-            else CANCELLED
-        )
+        share = np.sqrt(np.sum(uncertainty.changes**2, axis=0) / variance)
+        most, size = int(np.argmax(share)), CANCELLED
+        if share[most] > CANCELS:
+            size = f"{share[most]:.2g} times the standard error of noise in {fit.model.names[most]}"
         lines.append(f"{uncertainty.source}: {size}")
     return (
         "dynamic-stiffness: the intervals hold the uncertainty of given numbers, common to all lines and "
@@ -215,16 +209,15 @@ def whirl_findings(turning: Whirl | None, speed: float | None) -> tuple[Finding,
     square, (low, high) = turning.square / per_speed, (end / per_speed for end in turning.interval)
     if square > 0 and low > 0:
         return ()
+    what, ends = (
+        "the whirl frequency ratio cannot be told from zero: its square is",
+        f"{low:.3g} to {high:.3g}",
+    )
     if square > 0:
-        statement = (
-            f"the whirl frequency ratio cannot be told from zero: its square is {square:.3g}, 95 % "
-            f"{low:.3g} to {high:.3g}"
-        )
-        return (note("no-whirl", statement),)
+        return (note("no-whirl", f"{what} {square:.3g}, 95 % {ends}"),)
     message = (
-        f"there is no whirl: the square of the whirl frequency ratio is {square:.3g} (95 % {low:.3g} to "
-        f"{high:.3g}). The cross-coupled "
-        "stiffness does not drive a forward or backward whirl at any frequency"
+        f"there is no whirl: the square of the whirl frequency ratio is {square:.3g} (95 % {ends}). The "
+        "cross-coupled stiffness does not drive a forward or backward whirl at any frequency"
     )
     return (note("no-whirl", message),)
 
@@ -235,12 +228,9 @@ def physical_findings(parameters: tuple[Parameter, ...]) -> tuple[Finding, ...]:
     wrong = [p.name for p in parameters if p.name in judged and not p.derived and p.is_negative]
     if not wrong:
         return ()
-    verb = "is" if len(wrong) == 1 else "are"
-    message = (
-        f"{', '.join(wrong)} {verb} negative; check the signs of the channels, the stator's mass, the "
-        "baseline and the band"
-    )
-    return (Finding("unphysical", message),)
+    what = f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} negative"
+    check = "check the signs of the channels, the stator's mass, the baseline and the band"
+    return (Finding("unphysical", f"{what}; {check}"),)
 
 
 @dataclass(frozen=True)
@@ -273,14 +263,14 @@ class BalanceMisfit:
     def patterns(self) -> Patterns:
         """Whitened b (n_line, n_equation, n_pattern) [1] of the three types."""
         n_run, n = self.motion.shape[1:]
-        alone = np.zeros((n_run * n, *self.motion.shape), np.complex128)
-        laws = np.zeros((n * n, *self.motion.shape), np.complex128)
-        moved = np.sqrt(np.mean(np.abs(self.motion) ** 2, axis=(0, 1)))
-        for a in range(n):
+        alone = np.zeros((n_run, n, *self.motion.shape), np.complex128)
+        laws = np.zeros((n, n, *self.motion.shape), np.complex128)
+        moved = self.motion / np.sqrt(np.mean(np.abs(self.motion) ** 2, axis=(0, 1)))
+        for a, size in enumerate(self.size):
             for run in range(n_run):
-                alone[run * n + a, :, run, a] = self.size[a]
-            for b in range(n):
-                laws[a * n + b, :, :, a] = self.size[a] * self.motion[..., b] / moved[b]
+                alone[run, a, :, run, a] = size
+            laws[a, :, :, :, a] = size * np.moveaxis(moved, -1, 0)
+        alone, laws = (part.reshape(-1, *self.motion.shape) for part in (alone, laws))
         return {"a": self._white(alone), "m": self._white(self.gains), "z": self._white(laws)}
 
     def _white(self, forces: ComplexArray) -> ComplexArray:
@@ -332,11 +322,9 @@ def balance_error(
     )
     error = averaged_error(misfit)
     if error is None:
-        width = (
-            f"Standard errors are {factor:.3g} times those of noise alone, since the excess counts as noise"
-        )
-        finding = Finding("model-mismatch", f"{excess}: {cause}. {width}. {cure}")
-        return BalanceError(factor**2 * covariance, None, (finding,))
+        width = f"Standard errors are {factor:.3g} times those of noise alone"
+        message = f"{excess}: {cause}. {width}, since the excess counts as noise. {cure}"
+        return BalanceError(factor**2 * covariance, None, (Finding("model-mismatch", message),))
     # The value stays that of the fit, which others can repeat; its distance to the average is an error.
     away = error.mean - misfit.values
     whole = error.covariance + np.outer(away, away)
@@ -355,8 +343,7 @@ def stator_error(best: Estimate, balance: Balance, noise: Noise) -> BalanceError
     h, state = model.stiffness(best.values, omega), ErrorsInVariables(balance, model).at(best.values)
     motion = state.smoothed
     gains = np.zeros((4, *motion.shape), np.complex128)
-    for axis in (0, 1):
-        gains[2 + axis] = h[:, None, :, axis] * motion[..., axis, None]
+    gains[2:] = np.einsum("lij,lrj->jlri", h, motion)
     for axis in (0, 1):
         gains[axis, ..., axis] = -gains[2:, ..., axis].sum(axis=0)
     misfit = BalanceMisfit(
@@ -376,11 +363,5 @@ def stator_error(best: Estimate, balance: Balance, noise: Noise) -> BalanceError
         f"form {best.model.form.name} is not the course over frequency, the bearing is not linear at this "
         "amplitude, or a channel is wrong"
     )
-    return balance_error(
-        best.covariance,
-        best.reduced,
-        best.p_value,
-        misfit,
-        cause,
-        "Hold forms against each other with `compare: true`, or narrow the band",
-    )
+    cure = "Hold forms against each other with `compare: true`, or narrow the band"
+    return balance_error(best.covariance, best.reduced, best.p_value, misfit, cause, cure)

@@ -12,8 +12,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.estimation.derived import reported_fit
-from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
+from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import determination, inflation_factors
@@ -60,15 +59,13 @@ from labpipe.methods.floating_bearing.stator import (
     stator_of,
 )
 from labpipe.methods.floating_bearing.values import (
-    Bearing,
     FittedStiffness,
     Shaft,
-    as_estimate,
+    balance_fit,
     budgeted,
     coefficients,
     derived_values,
     dimensionless,
-    unconverged,
 )
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
@@ -86,24 +83,21 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     """Settings with the result of the earlier fit (or of the only one of the test) that `baseline` names.
     ConfigError if there is none.
     """
-    stiffness_settings: DynamicStiffnessSettings = settings.model_settings
-    if not stiffness_settings.baseline:
+    name: str = settings.model_settings.baseline
+    if not name:
         return settings
     usable = [fit for fit in fits if fit.detail(DynamicStiffness) is not None]
-    baselines = [fit for fit in usable if fit.name == stiffness_settings.baseline] or [
-        fit for fit in usable if fit.test == stiffness_settings.baseline
-    ]
+    baselines = [fit for fit in usable if fit.name == name] or [fit for fit in usable if fit.test == name]
     if not baselines:
-        hint = nearest(stiffness_settings.baseline, [fit.name for fit in usable])
-        what = f"baseline: no earlier fit '{stiffness_settings.baseline}' of model dynamic-stiffness"
+        hint = nearest(name, [fit.name for fit in usable])
+        what = f"baseline: no earlier fit '{name}' of model dynamic-stiffness"
         raise ConfigError(what, hint=f"fits are made in their order; {hint}")
     if len(baselines) > 1:
         tests = ", ".join(fit.test for fit in baselines)
-        what = f"baseline: '{stiffness_settings.baseline}' has {len(baselines)} results ({tests})"
+        what = f"baseline: '{name}' has {len(baselines)} results ({tests})"
         raise ConfigError(what, hint="say `test:` in the fit of the baseline")
-    return replace(
-        settings, model_settings=replace(stiffness_settings, fitted_baseline=baseline_of(baselines[0]))
-    )
+    own = replace(settings.model_settings, fitted_baseline=baseline_of(baselines[0]))
+    return replace(settings, model_settings=own)
 
 
 def baseline_of(fit: Fit) -> Baseline:
@@ -114,8 +108,10 @@ def baseline_of(fit: Fit) -> Baseline:
     if shown is None or not fit.converged:
         raise ConfigError(f"the fit '{fit.name}' is no baseline: it did not converge")
     label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
-    values, vectors = np.linalg.eigh(shown.noise / np.outer(_scale(shown), _scale(shown)))
-    changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * _scale(shown)
+    errors = np.sqrt(np.diag(shown.noise))
+    scale = np.where(errors > 0, errors, 1.0)
+    values, vectors = np.linalg.eigh(shown.noise / np.outer(scale, scale))
+    changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
     return Baseline(
         fitted_model(shown),
         shown.values,
@@ -123,11 +119,6 @@ def baseline_of(fit: Fit) -> Baseline:
         fit.name,
         fit.test,
     )
-
-
-def _scale(shown: DynamicStiffness) -> FloatArray:
-    errors = np.sqrt(np.diag(shown.noise))
-    return np.where(errors > 0, errors, 1.0)
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
@@ -182,18 +173,16 @@ def least_squares(
             hint = "widen the band"
             raise FitError(f"{design.shape[0]} lines cannot determine the coefficients", hint=hint)
     values, variance = _solve(model, lines.stiffness, designs)
-    covariance = np.zeros((values.size, values.size))
-    n_element = model.elements.shape[0]
+    covariance, n_element = np.zeros((values.size, values.size)), model.elements.shape[0]
     numbers = np.arange(values.size).reshape(-1, n_element)
     for part, design in enumerate(designs):
         inverse = np.linalg.inv(design.T @ design)
-        rows = numbers[_rows_of(model, part)]
-        for element in range(n_element):
-            covariance[np.ix_(rows[:, element], rows[:, element])] = variance[part, element] * inverse
+        for element, rows in enumerate(numbers[_rows_of(model, part)].T):
+            covariance[np.ix_(rows, rows)] = variance[part, element] * inverse
     dof = 2 * n_element * lines.omega.size - values.size
     columns = model.jacobian(values, lines.omega).reshape(values.size, -1)
     design = triangle_of(np.concatenate([columns.real, columns.imag], axis=1).T)
-    estimate = Estimate(model, values, covariance, float("nan"), dof, float("nan"), True, 0, design)
+    estimate = Estimate(model, values, covariance, np.nan, dof, np.nan, True, 0, design)
 
     def respond(errors: ComplexArray) -> FloatArray:
         moved = errors.swapaxes(-1, -2) @ lines.inverse
@@ -216,9 +205,8 @@ def _solve(
     for part, (design, side) in enumerate(zip(designs, (measured.real, measured.imag), strict=True)):
         coefficients = np.linalg.pinv(design) @ side
         solution[_rows_of(model, part)] = coefficients
-        variance[part] = np.sum((side - design @ coefficients) ** 2, axis=0) / (
-            design.shape[0] - design.shape[1]
-        )
+        squares = np.sum((side - design @ coefficients) ** 2, axis=0)
+        variance[part] = squares / (design.shape[0] - design.shape[1])
     return solution.reshape(-1), variance
 
 
@@ -238,12 +226,11 @@ def compare(
     """Candidates in ascending BIC, and the estimates by form. Forms that the lines cannot determine are left
     out. Equation (ds-bic).
     """
-    estimates: dict[str, Estimate] = {}
-    for form in dict.fromkeys((*forms, *([of_form.model.form.name] if of_form else []))):
+    estimates = {} if of_form is None else {of_form.model.form.name: of_form}
+    for form in forms:
         try:
-            fits = of_form is not None and form == of_form.model.form.name
-            model = StiffnessModel(FORMS[form], symmetry)
-            estimates[form] = of_form if of_form and fits else estimate(balance, model, noise, uncertain)
+            if form not in estimates:
+                estimates[form] = estimate(balance, StiffnessModel(FORMS[form], symmetry), noise, uncertain)
         except FitError:
             continue
     candidates = [_candidate(form, fitted, balance.n_equation) for form, fitted in estimates.items()]
@@ -265,7 +252,7 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
     if not candidates:
         return ()
     findings = []
-    if all(candidate.chi2_p is not None and candidate.chi2_p < MISMATCH_P for candidate in candidates):
+    if all(c.chi2_p is not None and c.chi2_p < MISMATCH_P for c in candidates):
         least = min(candidates, key=lambda candidate: candidate.chi2 / candidate.dof)
         names = ", ".join(candidate.name for candidate in candidates)
         message = (
@@ -329,24 +316,20 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     stator = stator_of(spectra, band, settings.input, settings.output)
     given = _given_numbers(settings, stator)
     balance = balance_of(stator, given)
-    noise = Noise(spectra.covariance_dof, stator.shared, stator.shared_power)
-    solved = _solved_fit(stator, given, balance, settings, noise)
+    noise, solved = stator.noise, _solved_fit(stator, given, balance, settings)
     likely = settings.estimates.likelihood
     best = solved.best
     error = stator_error(best, balance, noise) if likely else BalanceError(best.covariance)
     of_given = systematic(solved.uncertainties, best.values.size)
     fitted = FittedStiffness(best.model, best.values, best.covariance, error.covariance + of_given, best.dof)
-    shaft = Shaft(
-        _statement(section.speed, spectra, "speed", "Hz"), section.rotor_mass, section.rotor_stiffness
-    )
+    speed = _statement(section.speed, spectra, "speed", "Hz")
+    shaft = Shaft(speed, section.rotor_mass, section.rotor_stiffness)
     load = _statement(section.load, spectra, "load", "N") if section.clearance is not None else None
-    bearing = Bearing(section.clearance, load, section.viscosity, section.diameter, section.length)
     main = coefficients(fitted, inflation_factors(best.design))
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
-    parameters, budget = budgeted(
-        (*main, *others, *dimensionless(main, bearing, shaft.speed)), solved.uncertainties, best.dof
-    )
+    valued = (*main, *others, *dimensionless(main, section, load, speed))
+    parameters, budget = budgeted(valued, solved.uncertainties, best.dof)
     fit = _report(settings, balance, solved, whole_band, error.named(parameters))
     smeared = smeared_balance(stator, given, balance)
     stiffness = functools.partial(best.model.stiffness, best.values)
@@ -358,12 +341,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *(noise_findings(best, noise) if likely else ()),
         *(() if smeared is None else smeared.finding(stiffness, modelled=likely)),
         *motion_findings(stator, given),
-        *whirl_findings(turning, shaft.speed),
+        *whirl_findings(turning, speed),
         *physical_findings(parameters),
     )
     notes = (
         *given_notes(given, solved.uncertainties, fitted),
         motion_note(stator),
+        *_left_out(section, parameters),
         *(() if likely else (LS_NOTE,)),
     )
     shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
@@ -378,9 +362,28 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
 
 
+def _left_out(section: DynamicStiffnessSettings, parameters: Sequence[Parameter]) -> list[str]:
+    """Notes on what was asked for and cannot be given."""
+    names = {parameter.name for parameter in parameters}
+    notes = []
+    if section.clearance is not None and "k_xx_dimensionless" not in names:
+        notes.append(
+            "dynamic-stiffness: no coefficients without dimension: they need a speed, a load, and another "
+            "form than bands."
+        )
+    if section.rotor_mass is not None and "onset_speed" not in names:
+        notes.append(
+            "dynamic-stiffness: no onset speed: it needs form kc or kcm with cross terms, motion against the "
+            "shaft, a speed, and a bearing that whirls."
+        )
+    return notes
+
+
 def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
     section: DynamicStiffnessSettings = settings.model_settings
-    mass = section.stator_mass or (Uncertain(settings.mass) if isinstance(settings.mass, float) else None)
+    mass = section.stator_mass
+    if mass is None and isinstance(settings.mass, float):
+        mass = dict(settings.uncertainties).get("mass", Uncertain(settings.mass))
     if mass is not None and mass.value == 0:
         mass = None
     given = Given(mass, given_baseline(section), section.motion == "absolute")
@@ -389,11 +392,10 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
         raise SettingError("stator_mass", what, "stator_mass: 0 kg")
     if given.accelerated and not stator.accelerated and not given.absolute:
         what = "mass of the stator" if mass is not None else "baseline"
-        raise ConfigError(
-            f"the {what} acts with the stator's absolute motion, and there are no accelerations: "
-            "displacements against the shaft, which moves too, are not that",
-            hint="measure accelerations in x and y; motion: absolute where the displacements are absolute",
-        )
+        what = f"the {what} acts with the stator's absolute motion, and there are no accelerations"
+        hint = "measure accelerations in x and y; motion: absolute where the displacements are absolute"
+        not_that = "displacements against the shaft, which moves too, are not that"
+        raise ConfigError(f"{what}: {not_that}", hint=hint)
     return given
 
 
@@ -407,14 +409,12 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
         raise ConfigError(f"conditions.{condition}: {error.what}", hint=hint) from None
 
 
-def _solved_fit(
-    stator: Stator, given: Given, balance: Balance, settings: FitSettings, noise: Noise
-) -> Solved:
+def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSettings) -> Solved:
     section: DynamicStiffnessSettings = settings.model_settings
+    noise = stator.noise
     if not settings.estimates.likelihood:
-        best, respond = least_squares(
-            balance, StiffnessModel(_form(section, balance.omega), section.symmetry)
-        )
+        model = StiffnessModel(_form(section, balance.omega), section.symmetry)
+        best, respond = least_squares(balance, model)
         errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
         return Solved(best, given_uncertainties(errors, respond), None)
     uncertain = functools.partial(errors_by_given, stator, given)
@@ -427,16 +427,15 @@ def _solved_fit(
             best, candidates = _most_likely(balance, settings, noise, uncertain)
     problem = ErrorsInVariables(balance, best.model)
     stiffness = best.model.stiffness(best.values, stator.omega)
-    state, columns = problem.at(best.values), problem.columns(best.values)
+    state, columns = problem.at(best.values), problem.jacobian(best.values)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
     uncertainties = given_uncertainties(errors, response_of(state.whiten, columns))
     contradicted: tuple[Finding, ...] = ()
     if best.pulls is not None:
         uncertainties, contradicted = contradictions(given, uncertainties, best.pulls)
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
-    return Solved(
-        best, uncertainties, amplification, other_excitations(stator, best, columns), candidates, contradicted
-    )
+    excitations = other_excitations(stator, best, columns)
+    return Solved(best, uncertainties, amplification, excitations, candidates, contradicted)
 
 
 def _most_likely(
@@ -457,9 +456,9 @@ def _form(section: DynamicStiffnessSettings, omega: FloatArray) -> Form:
     if section.form != BANDS:
         return FORMS[section.form or "kcm"]
     low, high = omega[0] / (2 * np.pi), omega[-1] / (2 * np.pi)
-    count = (
-        BANDS_BY_DEFAULT if section.band_width is None else max(round((high - low) / section.band_width), 1)
-    )
+    count = BANDS_BY_DEFAULT
+    if section.band_width is not None:
+        count = max(round((high - low) / section.band_width), 1)
     return banded_form(np.linspace(low, high, count + 1))
 
 
@@ -471,22 +470,15 @@ def _report(
     parameters: tuple[Parameter, ...],
 ) -> Fit:
     best = solved.best
-    names = best.model.names
     stiffness = best.model.stiffness(best.values, balance.omega)
     residual = balance.right - np.einsum("lij,lrj->lri", stiffness, balance.motion)
-    r2, adjusted = determination(balance.right, residual, len(names))
+    r2, adjusted = determination(balance.right, residual, len(best.model.names))
     likely = settings.estimates.likelihood
     gof = Goodness(r2, adjusted, best.reduced if likely else None, best.p_value if likely else None)
-    stated, n_line = as_estimate(best, gof, solved.amplification), balance.omega.size
-    warnings: list[Finding] = estimate_findings(stated, names, n_line, best.model.units, remedy)
+    n_line = balance.omega.size
+    fit = balance_fit(settings, best, gof, solved.amplification, parameters, band, n_line, remedy)
     if best.model.n_shape:
         # What is common to two terms of such a form is told by their correlation and intervals, which hold;
         # the lines are no fault.
-        warnings = [finding for finding in warnings if finding.code != "collinear"]
-    return replace(
-        reported_fit(
-            settings, stated, parameters if best.converged else unconverged(parameters), band, n_line
-        ),
-        findings=(*warnings, *goodness_findings(gof)),
-        candidates=solved.candidates,
-    )
+        fit = replace(fit, findings=tuple(f for f in fit.findings if f.code != "collinear"))
+    return replace(fit, candidates=solved.candidates)

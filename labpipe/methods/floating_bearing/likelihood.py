@@ -2,20 +2,18 @@
 m.
 
 With u = [G; m] of covariance C, B = [I, -H] and S = B C B^H the likelihood of u over all true u with B u = 0
-is, but for constants, V = sum over lines and runs of e^H S^-1 e (Pintelon and Schoukens 2012, System
-Identification, sec. 9.10). 2 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n
-parameters.
-
-A covariance from nu complex degrees of freedom is complex Wishart; of p equations, 2 here, 2 V grows by nu /
-(nu - p), and the covariance of the estimates is that of the information matrix times nu^2 / ((nu - p)^2 - 1)
-(Maiwald and Kraus 2000, IEE Proc. Radar 147:162).
+is, but for constants, V = sum of e^H S^-1 e (Pintelon and Schoukens 2012, System Identification, sec. 9.10).
+2 V is chi-square with 4 E L - n degrees of freedom for E runs, L lines, n parameters. By a covariance from nu
+complex degrees of freedom 2 V grows by nu / (nu - p) of p equations, and the covariance of the estimates is
+that of the information matrix times nu^2 / ((nu - p)^2 - 1) (Maiwald and Kraus 2000, IEE Proc. Radar
+147:162).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +21,12 @@ from numpy.typing import NDArray
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import minimise
+from labpipe.estimation.descent import Minimum, minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
+from labpipe.records.spectra import ChannelSpectra
+from labpipe.spectra.bands import lines_in
 
 
 @dataclass(frozen=True)
@@ -128,10 +128,9 @@ class ErrorsInVariables:
     @property
     def size(self) -> float:
         """Norm of the force side [N] over that of its noise, line by line: what rounding is relative to."""
-        variance = np.trace(self.balance.right_covariance, axis1=-2, axis2=-1).real
-        power = np.sum(np.abs(self.balance.right) ** 2, axis=-1)
-        return float(
-            np.sqrt(np.sum(np.divide(power, variance, out=np.zeros_like(power), where=variance > 0)))
+        return size_over_noise(
+            np.sum(np.abs(self.balance.right) ** 2, axis=-1),
+            np.trace(self.balance.right_covariance, axis1=-2, axis2=-1).real,
         )
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -139,10 +138,6 @@ class ErrorsInVariables:
         return real_rows(self.at(parameters).white.reshape(1, -1))[0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) [1/parameter unit]."""
-        return self.columns(parameters)
-
-    def columns(self, parameters: FloatArray) -> FloatArray:
         """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element
         of the matrices.
 
@@ -165,6 +160,12 @@ class ErrorsInVariables:
         white = self.at(parameters).white
         total = float(np.sum(white.real**2 + white.imag**2))
         return total if np.isfinite(total) else float("inf")
+
+
+def size_over_noise(power: FloatArray, variance: FloatArray) -> float:
+    """Norm [1] of a *power* over its *variance*, (n_line, ...) each [any unit], as far as there is any."""
+    ratio = np.divide(power, variance, out=np.zeros_like(power), where=variance > 0)
+    return float(np.sqrt(np.sum(ratio)))
 
 
 def real_rows(rows: ComplexArray) -> FloatArray:
@@ -335,14 +336,73 @@ class Noise:
         return f_tail(squares / dof * second / (second - 2), effective, second)
 
 
-def check(balance: Balance, noise: Noise) -> None:
-    """FitError for a balance without noise, or whose covariance comes from too few periods."""
-    sides = ((balance.motion, balance.motion_covariance), (balance.right, balance.right_covariance))
+# The fewest lines of a balance.
+LEAST_LINES = 3
+
+
+@dataclass(frozen=True)
+class BalanceLines:
+    """Spectra of a balance on the lines of a fit.
+
+    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and their covariance (n_line, n_run,
+    n_channel, n_channel): all that was measured [SI units]; to_axes (n_axis, n_channel) [1]: what is balanced
+    is to_axes @ channels.
+    """
+
+    omega: FloatArray
+    channels: ComplexArray
+    covariance: ComplexArray
+    to_axes: FloatArray
+    spectra: ChannelSpectra
+    noise: Noise
+
+    @classmethod
+    def of(
+        cls,
+        spectra: ChannelSpectra,
+        band: tuple[float, float] | None,
+        to_axes: FloatArray,
+        equations: int,
+        cure: str = "",
+        **more: Any,
+    ) -> Self:
+        """The lines in a band [Hz], to_axes (n_axis, n_channel) [1]; FitError for too few, with a *cure*."""
+        lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
+        n_line = int(np.count_nonzero(lines))
+        if n_line < LEAST_LINES:
+            hint = f"{LEAST_LINES} or more: widen `band`{cure}"
+            raise FitError(f"{n_line} lines in the band", hint=hint)
+        noise = Noise(spectra.covariance_dof, *shared_noise(spectra, n_line), equations)
+        omega = 2 * np.pi * spectra.frequency[lines]
+        if omega[0] == 0:
+            raise FitError("nothing moves at 0 Hz", hint="begin `band` above it")
+        return cls(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, noise, **more)
+
+    @property
+    def axes(self) -> ComplexArray:
+        """(n_line, n_run, n_axis) [SI units]: what is balanced."""
+        return self.channels @ self.to_axes.T
+
+
+def shared_noise(spectra: ChannelSpectra, n: int) -> tuple[float, float]:
+    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, among *n*:
+    factors of the noise that they share on the variance of a sum over lines, and on that of a sum of powers.
+    """
+    correlation = np.array(spectra.line_correlation, np.complex128)
+    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
+    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
+    return shared, 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
+
+
+def check(sides: Sequence[tuple[ComplexArray, ComplexArray]], noise: Noise, otherwise: str) -> None:
+    """FitError for *sides* of a balance (n_line, n_run, n) without noise by their covariances (n_line, n_run,
+    n, n) [any unit], or where these come from too few periods.
+    """
     if all(
         np.sum(np.trace(covariance, axis1=-2, axis2=-1).real) <= NOISE_FREE * np.sum(np.abs(side) ** 2)
         for side, covariance in sides
     ):
-        hint = "measure several periods or blocks, or `estimator: ls`"
+        hint = f"measure several periods or blocks{otherwise}"
         raise FitError("the noise of the channels is not known, so ml cannot weigh them", hint=hint)
     noise.check_dof()
 
@@ -360,7 +420,8 @@ def estimate(
     if dof <= 0:
         hint = "widen the band, or a smaller `form`"
         raise FitError(f"{balance.n_equation} real equations cannot determine {n} parameters", hint=hint)
-    check(balance, noise)
+    sides = ((balance.motion, balance.motion_covariance), (balance.right, balance.right_covariance))
+    check(sides, noise, ", or `estimator: ls`")
     problem = ErrorsInVariables(balance, model)
     begun = [start for start in starts(problem.balance, problem.model) if np.isfinite(problem.chi2(start))]
     if not begun:
@@ -370,28 +431,28 @@ def estimate(
         rough = [minimise(problem, start, ROUGH, FEW_STEPS).values for start in begun]
         begun = [min(rough, key=problem.chi2)]
     best = minimise(problem, begun[0], NEAR, MOST_STEPS)
-    squares = 2 * problem.chi2(best.values)
-    jacobian = problem.columns(best.values)
-    pulls = None if uncertain is None else _pulls(problem, best.values, jacobian, uncertain, noise)
-    if pulls is not None:
-        squares -= pulls.explained
-    squares /= noise.excess
-    design = triangle_of(jacobian)
-    covariance = noise.inflation * inverse_information(jacobian)
-    p_value = noise.p_value(squares, dof)
-    minimum = best.values, covariance, squares, dof, p_value, best.converged, best.steps, design
+    state, changes = problem.at(best.values), None
+    if uncertain is not None:
+        changes = state.whiten(uncertain(model, best.values, state))
+    minimum, pulls = minimum_of(problem, best, noise, dof, changes)
     return Estimate(model, *minimum, pulls)
 
 
-def _pulls(
-    problem: ErrorsInVariables, values: FloatArray, jacobian: FloatArray, uncertain: GivenErrors, noise: Noise
-) -> Pulls | None:
-    state = problem.at(values)
-    errors = uncertain(problem.model, values, state)
-    if not len(errors):
-        return None
-    changes = real_rows(state.whiten(errors).reshape(len(errors), -1))
-    return stated_pulls(changes, problem.residual(values), jacobian, noise)
+def minimum_of(
+    problem: Any, best: Minimum, noise: Noise, dof: int, changes: ComplexArray | None
+) -> tuple[tuple[FloatArray, FloatArray, float, int, float, bool, int, FloatArray], Pulls | None]:
+    """Values (n,) [parameter units] to design of a BalanceEstimate at the minimum of a problem of unit noise,
+    and what it says of given numbers by which the residual *changes* (n, ...) [1].
+    """
+    jacobian, squares, pulls = problem.jacobian(best.values), 2 * problem.chi2(best.values), None
+    if changes is not None and len(changes):
+        rows = real_rows(changes.reshape(len(changes), -1))
+        pulls = stated_pulls(rows, problem.residual(best.values), jacobian, noise)
+        squares -= pulls.explained
+    squares /= noise.excess
+    covariance = noise.inflation * inverse_information(jacobian)
+    p_value, design = noise.p_value(squares, dof), triangle_of(jacobian)
+    return (best.values, covariance, squares, dof, p_value, best.converged, best.steps, design), pulls
 
 
 def stated_pulls(changes: FloatArray, residual: FloatArray, jacobian: FloatArray, noise: Noise) -> Pulls:

@@ -39,17 +39,14 @@ def excitation_table(fit: Fit, shown: DynamicStiffness) -> Table:
 
 def stiffness_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
     panels = tuple(_part(shown, i, j, which) for which in range(2) for i in range(2) for j in range(2))
-    lines = (
-        "of every line from its runs"
-        if not shown.paired
-        else "of two neighbouring lines each (the model in their middle and what both leave), since a line "
-        "has one vector"
-    )
+    lines, baseline = "of every line from its runs", ""
+    if shown.paired:
+        middle = "the model in their middle and what both leave"
+        lines = f"of two neighbouring lines each ({middle}), since a line has one vector"
     if not shown.frequency.size:
         lines = "not drawn, since the lines do not give it without a model"
-    baseline = (
-        " Dashed: the baseline, which the measured values are without." if shown.baseline is not None else ""
-    )
+    if shown.baseline is not None:
+        baseline = " Dashed: the baseline, which the measured values are without."
     caption = (
         f"{fit_title(fit)}: dynamic stiffness, force in the first direction per displacement in the second. "
         f"Dots: measured, {lines}, with 95 % intervals by noise; line: the model.{baseline} The fit itself "
@@ -72,17 +69,8 @@ def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
     if shown.frequency.size:
         measured = values(shown.measured)
         reach = MEGA * TWO_SIGMA * np.sqrt(shown.variance[:, i, j] / 2)
-        series.append(
-            dots(
-                "measured",
-                shown.frequency,
-                measured,
-                0,
-                marker="o",
-                size=2.0,
-                bars=(measured - reach, measured + reach),
-            )
-        )
+        bars = measured - reach, measured + reach
+        series.append(dots("measured", shown.frequency, measured, 0, marker="o", size=2.0, bars=bars))
     series.append(curve("model", shown.drawn_frequency, values(shown.fitted), 1, width=1.5))
     if shown.baseline is not None:
         series.append(curve("baseline", shown.drawn_frequency, values(shown.baseline), GREY, "--"))
@@ -96,14 +84,11 @@ def effective_figure(fit: Fit, shown: DynamicStiffness) -> Figure:
     )
     caption = (
         f"{fit_title(fit)}: what a forward circular orbit feels, with 95 % intervals. Where effective "
-        "damping is negative, the bearing "
-        "drives whirl; the frequency at which it is zero is the crossover frequency."
+        "damping is negative, the bearing drives whirl; the frequency at which it is zero is the crossover "
+        "frequency."
     )
-    return Figure(
-        Chart(panels, 1, 2, (WIDTH, 2.8)),
-        caption,
-        f"Effective stiffness and damping of fit {fit_title(fit)} over frequency",
-    )
+    alone = f"Effective stiffness and damping of fit {fit_title(fit)} over frequency"
+    return Figure(Chart(panels, 1, 2, (WIDTH, 2.8)), caption, alone)
 
 
 def _effective(name: str, unit: str, frequency: FloatArray, values: FloatArray) -> Panel:

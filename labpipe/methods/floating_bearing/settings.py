@@ -7,7 +7,7 @@ instead is wrong by Z_b X_r D^-1 as soon as the shaft moves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
@@ -76,19 +76,16 @@ class Given:
         """
         mass = 0.0 if self.mass is None else self.mass.value
         side = np.broadcast_to(-mass * np.eye(2, dtype=np.complex128), (omega.size, 2, 2))
-        return (
-            side
-            if self.baseline is None
-            else side + self.baseline.stiffness(omega) / omega[:, None, None] ** 2
-        )
+        if self.baseline is None:
+            return side
+        return side + self.baseline.stiffness(omega) / omega[:, None, None] ** 2
 
 
 def projection(stator: Stator, given: Given) -> ComplexArray:
     """(n_line, 4, 6) [SI units]: from [F; D; A] to [G; m]."""
-    n_line = stator.omega.size
-    matrix = np.zeros((n_line, 4, 6), np.complex128)
+    matrix = np.zeros((stator.omega.size, 4, 6), np.complex128)
     matrix[:, :2, :2] = np.eye(2)
-    absolute = np.asarray(stator.omega, float)[:, None, None] ** 2
+    absolute = stator.omega[:, None, None] ** 2
     if stator.accelerated:
         matrix[:, :2, 4:] = given.side(stator.omega)
     elif given.accelerated:
@@ -138,31 +135,33 @@ def given_errors(
     acceleration = axes[..., 4:] if stator.accelerated else -(omega**2) * axes[..., 2:4]
     errors: list[tuple[Uncertainty, ComplexArray]] = []
     if given.mass is not None and given.mass.std_error > 0:
-        errors.append(
-            (
-                uncertainty_of(given.mass, mass_source(given.mass), "kg"),
-                -given.mass.std_error * acceleration[None],
-            )
-        )
+        of_mass = uncertainty_of(given.mass, mass_source(given.mass), "kg")
+        errors.append((of_mass, -given.mass.std_error * acceleration[None]))
     if given.baseline is not None:
         slopes = given.baseline.model.jacobian(given.baseline.values, stator.omega) / omega**2
         by_value = times(slopes[:, :, None], acceleration)
-        errors.extend(
-            (
-                Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit),
-                np.tensordot(uncertainty.changes, by_value, 1),
-            )
-            for uncertainty in given.baseline.uncertainties
-        )
+        for number in given.baseline.uncertainties:
+            of_number = Uncertainty(number.source, number.std_error, number.unit)
+            errors.append((of_number, np.tensordot(number.changes, by_value, 1)))
     to_balance = projection(stator, given) @ stator.to_axes
-    rows = (to_balance[:, :2] - stiffness @ to_balance[:, 2:])[:, None]
-    for factor in stator.spectra.factors:
-        error = omega**factor.power * (rows @ (clean @ factor.derivative.T)[..., None])[..., 0]
-        if factor.std_error > 0 and np.any(error):
-            errors.append(
-                (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error[None])
-            )
+    rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
+    for of_factor, error in factor_errors(stator.spectra, stator.omega, rows, clean):
+        errors.append((of_factor, error[None]))
     return join(errors)
+
+
+def factor_errors(
+    spectra: ChannelSpectra, omega: FloatArray, rows: ComplexArray, clean: ComplexArray
+) -> Iterator[tuple[Uncertainty, ComplexArray]]:
+    """Changes (n_line, n_run, n) [N] of the residual *rows* (n_line, n, n_channel) [N per SI unit] @ *clean*
+    (n_line, n_run, n_channel) [SI units] by one standard deviation of every factor of the channels; omega
+    (n_line,) [rad/s].
+    """
+    for factor in spectra.factors:
+        moved = (rows[:, None] @ (clean @ factor.derivative.T)[..., None])[..., 0]
+        error = factor.std_error * omega[:, None, None] ** factor.power * moved
+        if np.any(error):
+            yield Uncertainty(factor.source, factor.std_error, factor.unit), error
 
 
 def join(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncertainty, ComplexArray]]:
@@ -182,9 +181,8 @@ def errors_by_given(
     """
     stiffness = model.stiffness(values, stator.omega)
     errors = given_errors(stator, given, stiffness, smoothed_channels(stator, given, stiffness, state))
-    return np.concatenate(
-        [np.empty((0, *stator.channels.shape[:2], 2), np.complex128), *(error for _, error in errors)]
-    )
+    none = np.empty((0, *stator.channels.shape[:2], 2), np.complex128)
+    return np.concatenate([none, *(error for _, error in errors)])
 
 
 def given_uncertainties(
@@ -194,10 +192,8 @@ def given_uncertainties(
     n_line, n_run, 2) [N].
     """
     return tuple(
-        GivenUncertainty(
-            uncertainty.source, respond(error), std_error=uncertainty.std_error, unit=uncertainty.unit
-        )
-        for uncertainty, error in errors
+        GivenUncertainty(number.source, respond(error), std_error=number.std_error, unit=number.unit)
+        for number, error in errors
     )
 
 
@@ -228,15 +224,16 @@ def contradictions(
 
     pulls: of all independent errors of all sources, one after the other.
     """
+    counts = [len(number.changes) for number in uncertainties]
     sources = [
-        Uncertainty(uncertainty.source, uncertainty.std_error, uncertainty.unit)
-        for uncertainty in uncertainties
-        for _ in uncertainty.changes
+        Uncertainty(number.source, number.std_error, number.unit)
+        for number, count in zip(uncertainties, counts, strict=True)
+        for _ in range(count)
     ]
-    ends = np.cumsum([len(uncertainty.changes) for uncertainty in uncertainties])[:-1]
+    factors = np.split(pulls.factors, np.cumsum(counts)[:-1])
     widened = tuple(
-        replace(uncertainty, changes=uncertainty.changes * factors[:, None])
-        for uncertainty, factors in zip(uncertainties, np.split(pulls.factors, ends), strict=True)
+        replace(number, changes=number.changes * factor[:, None])
+        for number, factor in zip(uncertainties, factors, strict=True)
     )
     values = {} if given.mass is None else {mass_source(given.mass): given.mass.value}
     return widened, tuple(stated_findings(sources, pulls, values))
@@ -273,12 +270,9 @@ class SmearedBalance:
         (ds-smeared).
         """
         omega, place = self.leakage.grid
-        lines = self.stator.omega
-        at = omega[place]
-        weights = self.leakage.kernel.weights
-        squared = (at / lines[:, None]) ** 2
-        n_line, n_point = place.shape
-        flat = at.ravel()
+        lines, weights = self.stator.omega, self.leakage.kernel.weights
+        squared = (omega[place] / lines[:, None]) ** 2
+        (n_line, n_point), flat = place.shape, omega[place].ravel()
         ratio = (self.ratio[:, None] * squared[..., None, None]).reshape(-1, 2, 2)
         motion = self.motion_per_force(stiffness, flat, ratio)
         side = np.repeat(self.given.side(lines), n_point, axis=0) - self.given.side(flat)
@@ -298,29 +292,22 @@ class SmearedBalance:
         """
         lines = self.stator.omega
         omega = np.linspace(lines[0], lines[-1], N_SOUGHT)
-        every = np.arange(lines.size)
-        ratio = np.array(
-            [[np.interp(omega, lines, self.ratio[every, i, j].real) for j in range(2)] for i in range(2)]
-        ).transpose(2, 0, 1)
-        motion = self.motion_per_force(stiffness, omega, ratio.astype(np.complex128))
-        widths = [
-            half_power
-            for axis in range(2)
-            if (half_power := _half_power(omega, np.abs(motion[:, axis, axis]))) is not None
-        ]
+        elements = self.ratio.real.reshape(lines.size, 4).T
+        ratio = np.stack([np.interp(omega, lines, element) for element in elements], axis=1)
+        motion = self.motion_per_force(stiffness, omega, ratio.reshape(-1, 2, 2).astype(np.complex128))
+        peaks = (_half_power(omega, np.abs(motion[:, axis, axis])) for axis in range(2))
+        widths = [peak for peak in peaks if peak is not None]
         if not widths:
             return ()
-        frequency, width = min(widths, key=lambda half_power: half_power[1])
+        frequency, width = min(widths, key=lambda peak: peak[1])
         length = self.leakage.kernel.blocks.length
         enough = FEWEST_LINES if modelled else ENOUGH_LINES
         if length * width >= enough:
             return ()
-        why = (
-            "its damping comes from the window's leakage more than from the measurement"
-            if modelled
-            else "it shifts stiffness and damping, which no standard error shows"
-        )
-        cure = "" if modelled else ", or the estimator ml, which takes the leakage into the model"
+        why, cure = "its damping comes from the window's leakage more than from the measurement", ""
+        if not modelled:
+            why = "it shifts stiffness and damping, which no standard error shows"
+            cure = ", or the estimator ml, which takes the leakage into the model"
         message = (
             f"the stator's resonance at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
             f"{length * width:.2g} lines of blocks of {length:.3g} s: {why}; use blocks of at least "
@@ -422,19 +409,27 @@ class DynamicStiffnessSettings(Settings):
             raise SettingError("stator_mass", "'stator_mass' is negative")
         if self.rotor_mass is not None and self.rotor_mass.value <= 0:
             raise SettingError("rotor_mass", "'rotor_mass' is that of a rotor, above zero")
-        for name, of, other in (
-            ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
-            *((name, "a clearance", "clearance") for name in ("load", "viscosity", "diameter", "length")),
-        ):
-            if getattr(self, name) is not None and getattr(self, other) is None:
-                raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
         self.require_positive("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
         self.require_positive("length")
+        self._check_companions()
+        if not self.forms:
+            raise SettingError("forms", "'forms' names none", f"for example [{', '.join(COMPARED)}]")
         for form in self.forms:
             if form not in FORMS:
                 raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))
         if self.band_width is not None and self.form != BANDS:
             raise SettingError("band_width", "'band_width' goes with form: bands", "leave it out")
+
+    def _check_companions(self) -> None:
+        """ConfigError for a number that says nothing without another one."""
+        of_sommerfeld = ("viscosity", "diameter", "length")
+        for name, of, other in (
+            ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
+            *((name, "a clearance", "clearance") for name in ("load", *of_sommerfeld)),
+            *((name, f"a {other}", other) for name in of_sommerfeld for other in of_sommerfeld),
+        ):
+            if getattr(self, name) is not None and getattr(self, other) is None:
+                raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

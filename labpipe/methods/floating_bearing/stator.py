@@ -13,48 +13,36 @@ from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.methods.floating_bearing.likelihood import Balance, Estimate, times, whiten
+from labpipe.methods.floating_bearing.likelihood import (
+    N_EQUATION,
+    Balance,
+    BalanceLines,
+    Estimate,
+    times,
+    whiten,
+)
 from labpipe.records.fit_details import OtherExcitation
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import nearest
-from labpipe.spectra.bands import lines_in
 
 FORCE, DISPLACEMENT, ACCELERATION = "force", "displacement", "acceleration"
 QUANTITIES = (FORCE, DISPLACEMENT, ACCELERATION)
 ROLES = {FORCE: "input", DISPLACEMENT: "output", ACCELERATION: "output"}
-LEAST_LINES = 3
 # Sine of the angle below which two directions are one.
 PARALLEL = 1e-3
 
 
 @dataclass(frozen=True)
-class Stator:
-    """Spectra of the stator on the lines of a fit.
-
-    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and their covariance (n_line, n_run,
-    n_channel, n_channel): all that was measured [SI units]; to_axes (6, n_channel) [1]: [F_x, F_y, D_x, D_y,
-    A_x, A_y] = to_axes @ channels [N, m, m/s^2], rows of zeros without accelerations. shared, shared_power:
-    factor of the noise that lines share on the variance of a sum over lines, and of powers.
+class Stator(BalanceLines):
+    """[F_x, F_y, D_x, D_y, A_x, A_y] [N, m, m/s^2] of the stator, rows of zeros of to_axes (6, n_channel) [1]
+    without accelerations.
     """
-
-    omega: FloatArray
-    channels: ComplexArray
-    covariance: ComplexArray
-    to_axes: FloatArray
-    spectra: ChannelSpectra
-    shared: float = 1.0
-    shared_power: float = 1.0
 
     @property
     def accelerated(self) -> bool:
         return bool(np.any(self.to_axes[4:]))
-
-    @property
-    def axes(self) -> ComplexArray:
-        """(n_line, n_run, 6) [N, m, m/s^2]: forces, displacements, accelerations in x and y."""
-        return self.channels @ self.to_axes.T
 
     @property
     def axes_covariance(self) -> ComplexArray:
@@ -78,13 +66,7 @@ def stator_of(
         columns = _chosen_columns(spectra, quantity, inputs if quantity == FORCE else outputs)
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
-    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    if np.count_nonzero(lines) < LEAST_LINES:
-        what = f"{np.count_nonzero(lines)} lines in the band"
-        raise FitError(what, hint=f"{LEAST_LINES} or more: widen `band`")
-    shared = shared_noise(spectra, int(np.count_nonzero(lines)))
-    omega = 2 * np.pi * spectra.frequency[lines]
-    return Stator(omega, spectra.vectors[lines], spectra.covariance[lines], to_axes, spectra, *shared)
+    return Stator.of(spectra, band, to_axes, N_EQUATION)
 
 
 def _columns_of_quantity(spectra: ChannelSpectra, quantity: str) -> list[int]:
@@ -139,8 +121,9 @@ def _missing_channels(quantity: str) -> str:
     what = {
         FORCE: "the forces on the stator",
         DISPLACEMENT: "displacements of the stator against the shaft in x and y",
+        ACCELERATION: "its accelerations in x and y",
     }
-    return f"the balance of the stator needs {what.get(quantity, 'its accelerations in x and y')}"
+    return f"the balance of the stator needs {what[quantity]}"
 
 
 def direction(channel: Channel) -> float:
@@ -157,22 +140,11 @@ def _check_once(channels: Sequence[Channel], quantity: str) -> None:
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
-            what = (
-                f"{quantity} channels '{seen[channel.dof]}' and '{channel.name}' have one dof, {channel.dof}"
-            )
+            names = f"'{seen[channel.dof]}' and '{channel.name}'"
+            what = f"{quantity} channels {names} have one dof, {channel.dof}"
             key = "input" if quantity == FORCE else "output"
             raise ConfigError(what, hint=f"name those of the balance in `{key}`")
         seen[channel.dof] = channel.name
-
-
-def shared_noise(spectra: ChannelSpectra, n: int) -> tuple[float, float]:
-    """1 + 2 sum Re c_d and 1 + 2 sum |c_d|^2 of the correlation c of lines that lie side by side, among *n*:
-    factors of the noise that they share on the variance of a sum over lines, and on that of a sum of powers.
-    """
-    correlation = np.array(spectra.line_correlation, np.complex128)
-    pairs = np.maximum(n - np.arange(1, correlation.size + 1), 0) / n
-    shared = max(1 + 2 * float(np.sum(pairs * correlation.real)), 1.0)
-    return shared, 1 + 2 * float(np.sum(pairs * np.abs(correlation) ** 2))
 
 
 # Condition number of the motions of all runs beyond which they are one direction.

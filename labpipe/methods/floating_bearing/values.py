@@ -1,14 +1,10 @@
 """What people read of a fitted dynamic stiffness: coefficients, whirl, crossover, effective and dimensionless
 coefficients.
 
-A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w. The
-imaginary part gives k, the equivalent stiffness, linear in x = w^2; the real part then is a quadratic in x.
-Without M: w^2 = ((k - K_xx)(k - K_yy) - K_xy K_yx) / det C with k = (K_xx C_yy + K_yy C_xx - K_xy C_yx - K_yx
-C_xy) / (C_xx + C_yy) (Lund 1987; San Andres 2006 for seals). Negative: no whirl.
-
-On x = r cos wt, y = r sin wt the force along and against the motion is that of H_f = (H_xx + H_yy - j (H_xy -
-H_yx)) / 2: K_eff = Re H_f, C_eff = Im H_f / w; of K, C and M: C_eff = (C_xx + C_yy) / 2 - (K_xy - K_yx - w^2
-(M_xy - M_yx)) / (2 w).
+A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w: the
+imaginary part gives k, linear in x = w^2, and the real part then is a quadratic in x (Lund 1987; San Andres
+2006 for seals). A negative x is no whirl. On a circular orbit the force is that of H_f = (H_xx + H_yy - j
+(H_xy - H_yx)) / 2: K_eff = Re H_f, C_eff = Im H_f / w.
 
 *std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond
 the noise); intervals are by the latter.
@@ -18,7 +14,7 @@ S = mu N L D / W (R / c)^2 with N in revolutions per second (Someya 1989, Journa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,12 +23,15 @@ from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.estimation import statistics
-from labpipe.estimation.derived import without_intervals
+from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.diagnostics import estimate_findings, goodness_findings
+from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import derive, estimated, student_limit, widen
 from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
+from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import GivenUncertainty
-from labpipe.records.identification import Goodness
+from labpipe.records.identification import Fit, Goodness
 from labpipe.records.uncertain import Budget, Uncertain, Uncertainty
 
 # Imaginary step of derivatives: exact to rounding.
@@ -56,35 +55,30 @@ class Whirl:
     stiffness_slopes: FloatArray
 
 
-def whirl(model: StiffnessModel, values: FloatArray, covariance: FloatArray) -> Whirl | None:
-    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units]; None where
-    there is no real solution. Equation (ds-whirl).
+def whirl(
+    model: StiffnessModel, values: FloatArray, covariance: FloatArray, limit: float = LIMIT
+) -> Whirl | None:
+    """The whirl of K, C and M of values (n_parameter,) with their covariance [parameter units], *limit*
+    standard errors to either side of 95 %; None where there is no real solution. Equation (ds-whirl).
     """
-    polynomial = _polynomial(model, values)[0].real
+    polynomial, stiffness = (part.real for part in _polynomial(model, values))
     square = _root(polynomial)
     if square is None:
         return None
-    stepped = [
-        _polynomial(model, values + 1j * STEP * scale * row)
-        for row, scale in zip(np.eye(values.size), _sizes(values), strict=True)
-    ]
-    slopes = np.stack([part[0].imag for part in stepped]) / (STEP * _sizes(values))[:, None]
-    powers = np.array([square**2, square, 1.0])
+    steps = STEP * np.where(values != 0, np.abs(values), 1.0)
+    stepped = [_polynomial(model, values + 1j * step) for step in np.diag(steps)]
+    slopes, of_stiffness = (
+        np.stack([parts[place].imag for parts in stepped]) / steps[:, None] for place in (0, 1)
+    )
     along = float(2 * polynomial[0] * square + polynomial[1])
-    square_slopes = -(slopes @ powers) / along
-    stiffness = _polynomial(model, values)[1].real
-    stiffness_slopes = np.stack([part[1].imag for part in stepped]) / (STEP * _sizes(values))[:, None]
+    square_slopes = -(slopes @ np.array([square**2, square, 1.0])) / along
     return Whirl(
         square,
         square_slopes,
-        _fieller(polynomial, slopes, covariance, square),
+        _fieller(polynomial, slopes, covariance, square, limit),
         float(stiffness[0] + stiffness[1] * square),
-        np.asarray(stiffness_slopes @ np.array([1.0, square]) + stiffness[1] * square_slopes),
+        np.asarray(of_stiffness @ np.array([1.0, square]) + stiffness[1] * square_slopes),
     )
-
-
-def _sizes(values: FloatArray) -> FloatArray:
-    return np.where(values != 0, np.abs(values), 1.0)
 
 
 def _polynomial(
@@ -117,14 +111,13 @@ def _root(polynomial: FloatArray) -> float | None:
 
 
 def _fieller(
-    polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float
+    polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float, limit: float
 ) -> tuple[float, float]:
-    """All x around the root where phi(x)^2 < 1.96^2 var phi(x) of the quadratic phi."""
+    """All x around the root where phi(x)^2 < limit^2 var phi(x) of the quadratic phi."""
     slope = 2 * polynomial[0] * square + polynomial[1]
     powers = slopes @ np.array([square**2, square, 1.0])
-    unit = max(
-        abs(square), float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope)), np.finfo(float).tiny
-    )
+    error = float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope))
+    unit = max(abs(square), error, np.finfo(float).tiny)
     scales = np.array([unit**2, unit, 1.0])
     scaled = polynomial * scales
     spread = (slopes * scales).T @ covariance @ (slopes * scales)
@@ -132,7 +125,7 @@ def _fieller(
     for i in range(3):
         for j in range(3):
             variance[i + j] += spread[i, j]
-    roots = np.roots(np.convolve(scaled, scaled) - LIMIT**2 * variance)
+    roots = np.roots(np.convolve(scaled, scaled) - limit**2 * variance)
     real = unit * np.sort(roots[np.abs(roots.imag) <= REAL * np.maximum(np.abs(roots), 1e-9)].real)
     below, above = real[real <= square], real[real >= square]
     return float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf
@@ -175,10 +168,8 @@ def effective(
     """
     h = forward(model.stiffness(values, omega), sense)
     slopes = forward(model.jacobian(values, omega), sense)
-    errors = [
-        np.sqrt(np.maximum(np.sum(part * (covariance @ part), axis=0), 0.0))
-        for part in (slopes.real, slopes.imag)
-    ]
+    variances = (np.sum(part * (covariance @ part), axis=0) for part in (slopes.real, slopes.imag))
+    errors = [np.sqrt(np.maximum(variance, 0.0)) for variance in variances]
     return Course(omega, h.real, errors[0], h.imag / omega, errors[1] / omega)
 
 
@@ -194,10 +185,15 @@ class Crossover:
 
 
 def crossover(
-    model: StiffnessModel, values: FloatArray, covariance: FloatArray, band: FloatArray, sense: float = 1.0
+    model: StiffnessModel,
+    values: FloatArray,
+    covariance: FloatArray,
+    band: FloatArray,
+    sense: float = 1.0,
+    limit: float = LIMIT,
 ) -> Crossover | None:
-    """The highest frequency at which C_eff turns from negative to positive; None where it does not. *band*
-    omega (n_line,) [rad/s].
+    """The highest frequency at which C_eff turns from negative to positive, *limit* standard errors to either
+    side of 95 %; None where it does not. *band* omega (n_line,) [rad/s].
     """
     omega = np.geomspace(SHARES[0] * band[0], SHARES[1] * band[-1], N_FREQUENCY)
     course = effective(model, values, covariance, omega, sense)
@@ -209,10 +205,7 @@ def crossover(
     frequency = _zero(omega, course.damping, at)
     slopes = forward(model.jacobian(values, np.array([frequency])), sense).imag[:, 0] / frequency
     along = float((course.damping[at + 1] - course.damping[at]) / (omega[at + 1] - omega[at]))
-    upper, lower = (
-        course.damping + LIMIT * course.damping_error,
-        course.damping - LIMIT * course.damping_error,
-    )
+    upper, lower = (course.damping + sign * limit * course.damping_error for sign in (1, -1))
     below = np.flatnonzero(upper[: at + 1] < 0)
     above = np.flatnonzero(lower[at + 1 :] > 0)
     low = _zero(omega, upper, int(below[-1])) if below.size else -np.inf
@@ -240,6 +233,11 @@ class FittedStiffness:
     noise: FloatArray
     whole: FloatArray
     dof: int
+
+    @property
+    def limit(self) -> float:
+        """Standard errors to either side of a 95 % interval."""
+        return student_limit(self.dof)
 
     def error(self, slopes: FloatArray, *, whole: bool) -> float:
         """Standard error [its unit] of what has *slopes* (n_parameter,) over the values."""
@@ -311,12 +309,9 @@ def _shape(fitted: FittedStiffness, number: int, vif: float) -> Valued:
     declared, place = fitted.model.form.shape[number], fitted.model.n_linear + number
     inner, slope = float(fitted.values[place]), declared.slope(float(fitted.values[place]))
     noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (fitted.noise, fitted.whole))
-    plain = _wide(
-        estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, fitted.dof, vif),
-        noise,
-        whole,
-    )
-    reach = student_limit(fitted.dof) * whole
+    shape = estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, fitted.dof, vif)
+    plain = _wide(shape, noise, whole)
+    reach = fitted.limit * whole
     shown = replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
     return Valued(shown, slope * np.eye(fitted.values.size)[place])
 
@@ -326,12 +321,11 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
 
 
 def _tie(valued: Valued) -> Valued:
+    """That which a seal's symmetry ties to an element: yy to xx, yx with the other sign to xy."""
     parameter = valued.parameter
-    parts = parameter.name.split("_")
-    place = next(number for number, part in enumerate(parts) if part in ("xx", "xy", "yx", "yy"))
-    letter, suffix, *rest = ["_".join(parts[:place]), parts[place], *parts[place + 1 :]]
-    name = "_".join([letter, {"xx": "yy", "xy": "yx"}[suffix], *rest])
-    if suffix == "xx":
+    parts = [{"xx": "yy", "xy": "yx"}.get(part, part) for part in parameter.name.split("_")]
+    name = "_".join(parts)
+    if "yy" in parts:
         return Valued(replace(parameter, name=name, derived=True), valued.slopes)
     interval = None if parameter.ci95 is None else (-parameter.ci95[1], -parameter.ci95[0])
     ratio = None if parameter.t_ratio is None else -parameter.t_ratio
@@ -346,7 +340,7 @@ def derived_values(
     (n_line,) [rad/s] of the fit.
     """
     full = fitted.model.symmetry != "direct" and fitted.model.form.name in FORMS_WITH_WHIRL
-    turning = whirl(fitted.model, fitted.values, fitted.whole) if full else None
+    turning = whirl(fitted.model, fitted.values, fitted.whole, fitted.limit) if full else None
     parts = [
         *_whirl_values(fitted, turning, shaft),
         *_crossover(fitted, omega, shaft),
@@ -359,12 +353,12 @@ def _whirl_values(fitted: FittedStiffness, turning: Whirl | None, shaft: Shaft) 
     if turning is None or turning.square <= 0 or not shaft.speed:
         return []
     speed = 2 * np.pi * abs(shaft.speed)
-    ratio = np.sqrt(turning.square) / speed
-    slopes = turning.slopes / (2 * np.sqrt(turning.square) * speed)
-    ends = [float(np.sqrt(max(end, 0.0)) / speed) for end in turning.interval]
-    values = [_derive(fitted, "whirl_frequency_ratio", "1", float(ratio), slopes, _finite(ends[0], ends[1]))]
+    ratio = float(np.sqrt(turning.square)) / speed
+    slopes = turning.slopes / (2 * ratio * speed**2)
+    low, high = (float(np.sqrt(max(end, 0.0)) / speed) for end in turning.interval)
+    values = [_derive(fitted, "whirl_frequency_ratio", "1", ratio, slopes, _finite(low, high))]
     if shaft.rotor_mass is not None and turning.stiffness > 0:
-        values.append(_onset(fitted, turning, shaft, float(ratio), slopes))
+        values.append(_onset(fitted, turning, shaft, ratio, slopes))
     return values
 
 
@@ -375,13 +369,12 @@ def _onset(
     mass = shaft.rotor_mass
     assert mass is not None
     softer = 1 + turning.stiffness / shaft.rotor_stiffness if shaft.rotor_stiffness else 1.0
-    value = np.sqrt(turning.stiffness / softer / mass.value) / ratio / (2 * np.pi)
+    value = float(np.sqrt(turning.stiffness / softer / mass.value) / ratio / (2 * np.pi))
     slopes = value * (turning.stiffness_slopes / (2 * turning.stiffness * softer) - ratio_slopes / ratio)
-    of_mass = mass.std_error / (2 * mass.value)
-    whole = float(np.hypot(fitted.error(slopes, whole=True), value * of_mass))
-    reach = LIMIT * whole / value
-    interval = _finite(float(value * np.exp(-reach)), float(value * np.exp(reach)))
-    return _derive(fitted, "onset_speed", "Hz", float(value), slopes, interval, whole)
+    of_mass = value * mass.std_error / (2 * mass.value)
+    reach = fitted.limit * np.hypot(fitted.error(slopes, whole=True), of_mass) / value
+    interval = _finite(value * np.exp(-reach), value * np.exp(reach))
+    return _derive(fitted, "onset_speed", "Hz", value, slopes, interval, of_mass)
 
 
 def _derive(
@@ -391,11 +384,11 @@ def _derive(
     value: float,
     slopes: FloatArray,
     interval: tuple[float, float] | None,
-    whole: float | None = None,
+    besides: float = 0.0,
 ) -> Valued:
-    """With its error in all, by the fitted values unless *whole* is given."""
+    """With its error in all, by the fitted values and *besides*."""
     noise = fitted.error(slopes, whole=False)
-    whole = fitted.error(slopes, whole=True) if whole is None else whole
+    whole = float(np.hypot(fitted.error(slopes, whole=True), besides))
     inflated = whole if whole > SAME * noise else None
     plain = derive(name, unit, value, noise, fitted.dof)
     return Valued(replace(plain, ci95=interval, std_error_inflated=inflated), slopes)
@@ -404,15 +397,12 @@ def _derive(
 def _crossover(fitted: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
     if fitted.model.symmetry == "direct":
         return []
-    found_at = crossover(fitted.model, fitted.values, fitted.whole, omega, shaft.sense)
+    found_at = crossover(fitted.model, fitted.values, fitted.whole, omega, shaft.sense, fitted.limit)
     if found_at is None:
         return []
-    to_hertz = 1 / (2 * np.pi)
-    low, high = (to_hertz * end for end in found_at.interval)
-    value = to_hertz * found_at.omega
-    return [
-        _derive(fitted, "crossover_frequency", "Hz", value, to_hertz * found_at.slopes, _finite(low, high))
-    ]
+    turn = 2 * np.pi
+    value, slopes, (low, high) = found_at.omega / turn, found_at.slopes / turn, found_at.interval
+    return [_derive(fitted, "crossover_frequency", "Hz", value, slopes, _finite(low / turn, high / turn))]
 
 
 def _synchronous(fitted: FittedStiffness, omega: FloatArray, shaft: Shaft) -> list[Valued]:
@@ -422,91 +412,65 @@ def _synchronous(fitted: FittedStiffness, omega: FloatArray, shaft: Shaft) -> li
     speed = 2 * np.pi * abs(shaft.speed)
     if not omega[0] <= speed <= omega[-1]:
         return []
-    at = np.array([speed])
-    h, slopes = fitted.model.stiffness(fitted.values, at)[0], fitted.model.jacobian(fitted.values, at)[:, 0]
+    at, model = np.array([speed]), fitted.model
+    h, slopes = model.stiffness(fitted.values, at)[0], model.jacobian(fitted.values, at)[:, 0]
     values = []
     for letter, unit, factor in (("k", STIFFNESS, 1.0), ("c", DAMPING, 1 / (1j * speed))):
-        for i, row in enumerate("xy"):
-            for j, column in enumerate("xy"):
-                if fitted.model.symmetry == "direct" and i != j:
-                    continue
-                value, change = (factor * h[i, j]).real, (factor * slopes[:, i, j]).real
-                whole = fitted.error(change, whole=True)
-                reach = student_limit(fitted.dof) * whole
-                values.append(
-                    _derive(
-                        fitted,
-                        f"{letter}_{row}{column}_synchronous",
-                        unit,
-                        float(value),
-                        change,
-                        _finite(value - reach, value + reach),
-                    )
-                )
+        for i, j in np.ndindex(2, 2):
+            if model.symmetry == "direct" and i != j:
+                continue
+            value, change = float((factor * h[i, j]).real), (factor * slopes[:, i, j]).real
+            reach = fitted.limit * fitted.error(change, whole=True)
+            name, ends = f"{letter}_{'xy'[i]}{'xy'[j]}_synchronous", _finite(value - reach, value + reach)
+            values.append(_derive(fitted, name, unit, value, change, ends))
     return values
 
 
 LETTERS = "kcm"
 
 
-@dataclass(frozen=True)
-class Bearing:
-    """Radial *clearance* [m], *load* [N], viscosity [Pa s], diameter and length [m]."""
-
-    clearance: float | None = None
-    load: float | None = None
-    viscosity: float | None = None
-    diameter: float | None = None
-    length: float | None = None
-
-
 def dimensionless(
-    coefficients: Sequence[Valued], bearing: Bearing, speed: float | None
+    coefficients: Sequence[Valued], section: DynamicStiffnessSettings, load: float | None, speed: float | None
 ) -> tuple[Valued, ...]:
-    """k_xx_dimensionless ... at a *speed* [Hz], and the Sommerfeld number; as far as what they need is given.
-    Equation (ds-dimensionless).
+    """k_xx_dimensionless ... and the Sommerfeld number, as far as what they need is given; *load* [N] and
+    *speed* [Hz] of either sign. Equation (ds-dimensionless).
     """
-    if not bearing.clearance or not bearing.load or not speed:
+    if not section.clearance or not load or not speed:
         return ()
-    omega = 2 * np.pi * abs(speed)
+    clearance, load, speed = section.clearance, abs(load), abs(speed)
     scaled = [
-        _scale(valued, bearing.clearance / bearing.load * omega ** LETTERS.index(letter))
+        _scale(valued, clearance / load * (2 * np.pi * speed) ** LETTERS.index(letter))
         for valued in coefficients
         if (letter := valued.parameter.name.split("_")[0]) in LETTERS
         and len(valued.parameter.name) == len("k_xx")
     ]
-    number = _sommerfeld(bearing, abs(speed))
-    return (*scaled, *(Valued(parameter, np.zeros_like(coefficients[0].slopes)) for parameter in number))
+    if section.viscosity is None or section.length is None or section.diameter is None:
+        return tuple(scaled)
+    number = section.viscosity * speed * section.length * section.diameter / load
+    number *= (section.diameter / (2 * clearance)) ** 2
+    sommerfeld = Parameter("sommerfeld", number, "1", derived=True)
+    return (*scaled, Valued(sommerfeld, np.zeros_like(coefficients[0].slopes)))
 
 
 def _scale(valued: Valued, factor: float) -> Valued:
     parameter = valued.parameter
-    interval = None if parameter.ci95 is None else (factor * parameter.ci95[0], factor * parameter.ci95[1])
-    errors = [
-        None if error is None else factor * error
-        for error in (parameter.std_error, parameter.std_error_inflated)
-    ]
+    low, high = parameter.ci95 or (np.nan, np.nan)
+    errors = {
+        name: factor * error
+        for name in ("std_error", "std_error_inflated")
+        if (error := getattr(parameter, name)) is not None
+    }
     scaled = replace(
         parameter,
         name=f"{parameter.name}_dimensionless",
         value=factor * parameter.value,
         unit="1",
-        std_error=errors[0],
-        std_error_inflated=errors[1],
-        ci95=interval,
+        ci95=_finite(factor * low, factor * high),
         vif=None,
         derived=True,
+        **errors,
     )
     return Valued(scaled, factor * valued.slopes)
-
-
-def _sommerfeld(bearing: Bearing, speed: float) -> tuple[Parameter, ...]:
-    needed = (bearing.viscosity, bearing.length, bearing.diameter)
-    if bearing.clearance is None or bearing.load is None or any(number is None for number in needed):
-        return ()
-    viscosity, length, diameter = (float(number) for number in needed if number is not None)
-    value = viscosity * speed * length * diameter / bearing.load * (diameter / (2 * bearing.clearance)) ** 2
-    return (Parameter("sommerfeld", value, "1", derived=True),)
 
 
 # Share of a variance below which an independent error is not listed by itself and stays with the noise.
@@ -525,33 +489,37 @@ def budgeted(
     sources, changes = [], []
     for uncertainty in uncertainties:
         for number, row in enumerate(uncertainty.changes, start=1):
-            change = slopes @ row
-            if len(uncertainty.changes) == 1 or np.nanmax(change**2 / whole**2) > UNSEEN:
-                part = f" ({number})" if len(uncertainty.changes) > 1 else ""
-                sources.append(
-                    Uncertainty(uncertainty.source + part, uncertainty.std_error, uncertainty.unit)
-                )
+            change, alone = slopes @ row, len(uncertainty.changes) == 1
+            if alone or np.nanmax(change**2 / whole**2) > UNSEEN:
+                name = uncertainty.source if alone else f"{uncertainty.source} ({number})"
+                sources.append(Uncertainty(name, uncertainty.std_error, uncertainty.unit))
                 changes.append(change)
     if not sources:
         return parameters, None
     systematic = np.sqrt(np.sum(np.square(changes), axis=0))
     random = np.sqrt(np.maximum(whole**2 - systematic**2, 0.0))
     budget = Budget(tuple(p.name for p in parameters), random, float(dof), tuple(sources), np.array(changes))
-    stated = zip(parameters, systematic, strict=True)
-    return tuple(
-        p if p.full_error is None else replace(p, systematic=float(size)) for p, size in stated
-    ), budget
+    stated = tuple(
+        p if p.full_error is None else replace(p, systematic=float(size))
+        for p, size in zip(parameters, systematic, strict=True)
+    )
+    return stated, budget
 
 
-def unconverged(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters of a fit that did not converge, which have no uncertainty."""
-    plain = without_intervals(parameters)
-    return tuple(replace(parameter, std_error_inflated=None, systematic=None) for parameter in plain)
-
-
-def as_estimate(best: Any, gof: Goodness, amplification: FloatArray | None) -> statistics.Estimate:
-    """A minimum of a balance as other fits state theirs; amplification (n_parameter,) [parameter units]."""
-    return statistics.Estimate(
+def balance_fit(
+    settings: FitSettings,
+    best: Any,
+    gof: Goodness,
+    amplification: FloatArray | None,
+    parameters: Sequence[Parameter],
+    band: tuple[float, float],
+    n_line: int,
+    remedy: Callable[[Sequence[str]], str],
+) -> Fit:
+    """A minimum of a balance as a fit, with the findings that all fits have; amplification (n_parameter,)
+    [parameter units]. Without convergence its parameters have no uncertainty.
+    """
+    stated = statistics.Estimate(
         values=best.values,
         covariance=best.covariance,
         scaled_design=best.design,
@@ -561,3 +529,9 @@ def as_estimate(best: Any, gof: Goodness, amplification: FloatArray | None) -> s
         iterations=best.steps,
         amplification=amplification,
     )
+    if not best.converged:
+        plain = without_intervals(parameters)
+        parameters = [replace(shown, std_error_inflated=None, systematic=None) for shown in plain]
+    warnings = estimate_findings(stated, best.model.names, n_line, best.model.units, remedy)
+    fit = reported_fit(settings, stated, tuple(parameters), band, n_line)
+    return replace(fit, findings=(*warnings, *goodness_findings(gof)))

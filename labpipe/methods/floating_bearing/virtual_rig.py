@@ -61,7 +61,7 @@ class Pad(Settings):
     damping_ratio: float = quantity("damping ratio of the pad", "1")
 
     def __post_init__(self) -> None:
-        self.require_positive("frequency")
+        self.require_positive("frequency", "damping_ratio")
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,10 @@ class Condition(Settings):
         self.require_not_negative("speed")
         if self.film == "journal" and not (self.speed > 0 and self.load > 0):
             raise SettingError("film", "a journal bearing needs a speed and a load")
+        given = {"stiffness", "damping"}.intersection(self.written)
+        if self.film == "journal" and given:
+            name = max(given)
+            raise SettingError(name, f"'{name}' is that of the rig's journal bearing", "leave it out")
 
 
 @dataclass(frozen=True)
@@ -101,12 +105,7 @@ class FloatingNoise(StandardDeviations):
     drive: float = quantity("recorded drives", "V", 1e-4)
 
     def of(self, quantity: str) -> float:
-        return {
-            "force": self.force,
-            "displacement": self.displacement,
-            "acceleration": self.acceleration,
-            "voltage": self.drive,
-        }.get(quantity, 0.0)
+        return float(getattr(self, "drive" if quantity == "voltage" else quantity))
 
 
 @dataclass(frozen=True)
@@ -199,11 +198,8 @@ class FloatingRig(Settings):
     def lines_in_band(self) -> tuple[IntArray, FloatArray]:
         """Numbers and frequencies [Hz] of the lines of a whole recording within the band, (n_line,) each."""
         frequency = fft.rfftfreq(self.n_sample, 1 / self.sample_rate)
-        inside = np.flatnonzero(
-            (frequency >= self.band[0] * (1 - 1e-9))
-            & (frequency <= self.band[1] * (1 + 1e-9))
-            & (frequency > 0)
-        )
+        low, high = self.band[0] * (1 - 1e-9), self.band[1] * (1 + 1e-9)
+        inside = np.flatnonzero((frequency >= low) & (frequency <= high) & (frequency > 0))
         return inside, frequency[inside]
 
 
@@ -243,9 +239,8 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
     if condition.pad is not None:
         pad = condition.pad
         relative = jw / (2 * np.pi * pad.frequency)
-        dynamic = dynamic + (pad.stiffness + jw * pad.damping) / (
-            1 + 2 * pad.damping_ratio * relative + relative**2
-        ) * np.eye(2)
+        reduced = (pad.stiffness + jw * pad.damping) / (1 + 2 * pad.damping_ratio * relative + relative**2)
+        dynamic = dynamic + reduced * np.eye(2)
     return np.asarray(dynamic)
 
 
@@ -260,9 +255,7 @@ def motions(
         rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega
     )
     shaft = dynamic_stiffness(rig.shaft_mass * np.eye(2), rig.shaft_stiffness, rig.shaft_damping, omega)
-    system = np.concatenate(
-        [np.concatenate([stator + h, -h], axis=2), np.concatenate([-h, shaft + h], axis=2)], axis=1
-    )
+    system = np.block([[stator + h, -h], [-h, shaft + h]])
     moved = np.linalg.solve(system, forces[:, :, None])[:, :, 0]
     return moved[:, :2], moved[:, 2:]
 
@@ -275,18 +268,11 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     inside, lines = rig.lines_in_band
     shape = (lines.size, 2)
     draws = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
-    forces = np.concatenate(
-        [
-            SHAKERS[name.rpartition("-")[2]](rig, rng)[inside],
-            np.asarray(draws * rig.shaft_noise / np.sqrt(shape[0])),
-        ],
-        axis=1,
-    )
+    pushed = SHAKERS[name.rpartition("-")[2]](rig, rng)[inside]
+    forces = np.hstack([pushed, draws * rig.shaft_noise / np.sqrt(lines.size)])
     stator, shaft = motions(rig, condition, lines, forces)
     late = np.exp(-2j * np.pi * lines * rig.probe_delay)[:, None]
-    amplitudes = np.concatenate(
-        [forces[:, :2], (stator - shaft) * late, -((2 * np.pi * lines[:, None]) ** 2) * stator], axis=1
-    )
+    amplitudes = np.hstack([pushed, (stator - shaft) * late, -((2 * np.pi * lines[:, None]) ** 2) * stator])
     phase = rng.uniform(0, 2 * np.pi)
     samples = _in_time(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
     kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
@@ -296,13 +282,10 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
         for axis in AXES
     ]
     if rig.drives:
-        samples = np.concatenate(
-            [samples, _in_time(rig, inside, np.asarray(forces[:, :2] / rig.gain))], axis=1
-        )
+        samples = np.hstack([samples, _in_time(rig, inside, pushed / rig.gain)])
         channels += [Channel(f"u_{axis}", "voltage", "reference", axis, AXIS_ANGLES[axis]) for axis in AXES]
-    samples = samples + rng.standard_normal(samples.shape) * [
-        rig.noise.of(channel.quantity) for channel in channels
-    ]
+    noise = [rig.noise.of(channel.quantity) for channel in channels]
+    samples = samples + rng.standard_normal(samples.shape) * noise
     tacho = pulses(_angle(rig, condition.speed) + phase) * (condition.speed > 0)
     return Recording((*channels, TACHO), np.column_stack([samples, tacho]), rig.sample_rate, name)
 
@@ -329,11 +312,10 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
         late = np.exp(-1j * omega * rig.probe_delay)
         amplitudes = np.concatenate([np.zeros(2), (stator - shaft)[0] * late, -(omega**2) * stator[0]])
         total += (np.exp(1j * angle)[:, None] * amplitudes).real
+    late_by = 2 * np.pi * condition.speed * rig.probe_delay
     for order, amplitude in enumerate(rig.runout, 1):
         for column, quarter in ((2, 0.0), (3, np.pi / 2)):
-            total[:, column] -= amplitude * np.cos(
-                order * (angle - quarter - 2 * np.pi * condition.speed * rig.probe_delay)
-            )
+            total[:, column] -= amplitude * np.cos(order * (angle - quarter - late_by))
     return total
 
 
@@ -353,6 +335,8 @@ def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = Fals
 
 def _random(rig: FloatingRig, rng: np.random.Generator) -> ComplexArray:
     inside, lines = rig.lines_in_band
+    if not inside.size:
+        raise SettingError("band", "no line of a whole recording lies in the band", "widen it")
     draws = rng.standard_normal((inside.size, 2)) + 1j * rng.standard_normal((inside.size, 2))
     draws = draws * (lines**rig.slope)[:, None]
     spectrum = np.zeros((rig.n_sample // 2 + 1, 2), np.complex128)
@@ -375,11 +359,8 @@ def truth(rig: FloatingRig) -> dict[str, Any]:
     stator = coefficients_by_name(AXES, k=rig.baseline_stiffness, c=rig.baseline_damping)
     conditions: dict[str, Any] = {}
     for name, condition in rig.conditions:
-        entries: dict[str, Any] = {
-            "speed_hz": condition.speed,
-            "load": condition.load,
-            "pressure": condition.pressure,
-        }
+        entries: dict[str, Any] = {"speed_hz": condition.speed}
+        entries |= {"load": condition.load, "pressure": condition.pressure}
         for part in (condition.relaxation, condition.pad):
             entries |= {} if part is None else {type(part).__name__.lower(): vars(part)}
         conditions[name] = entries | _coefficients_by_name(rig, condition)

@@ -15,52 +15,37 @@ from math import factorial
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.methods.floating_bearing.stator import check_names, named_columns, shared_noise
+from labpipe.errors import ConfigError, SettingError
+from labpipe.methods.floating_bearing.likelihood import BalanceLines
+from labpipe.methods.floating_bearing.stator import check_names, named_columns
 from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.spectra.bands import lines_in
 
 CURRENT, DISPLACEMENT = "current", "displacement"
-LEAST_LINES = 3
 # Relative distance of two places along the axis below which they are one.
 SAME_PLACE = 1e-9
 
 
 @dataclass(frozen=True)
-class Levitation:
-    """Spectra of currents and displacements on the lines of a fit, and the rotor that ties them.
+class Levitation(BalanceLines):
+    """Currents [A], then displacements at the magnets [m], by to_axes (2 n, n_channel) [1], and the rotor
+    that ties them: mass (n, n) [kg] at the magnets.
 
-    omega (n_line,) [rad/s]; channels (n_line, n_run, n_channel) and covariance (n_line, n_run, n_channel,
-    n_channel) [SI units]; to_axes (2 n, n_channel) [1]: currents [A], then displacements at the magnets [m],
-    are to_axes @ channels. mass (n, n) [kg] of the rotor at the magnets. Planes: numbers of the axes of every
-    plane. labels (n,) of the axes; bearing (n,): number of the bearing of each. shared, shared_power as for
-    `Noise`.
+    Planes: numbers of the axes of every plane. labels (n,) of the axes; bearing (n,): number of the bearing
+    of each.
     """
 
-    omega: FloatArray
-    channels: ComplexArray
-    covariance: ComplexArray
-    to_axes: FloatArray
     mass: FloatArray
     currents: tuple[Channel, ...]
     planes: tuple[tuple[int, ...], ...]
     labels: tuple[str, ...]
     bearing: tuple[int, ...]
-    spectra: ChannelSpectra
-    shared: float = 1.0
-    shared_power: float = 1.0
 
     @property
     def n_axis(self) -> int:
         return len(self.labels)
-
-    @property
-    def axes(self) -> ComplexArray:
-        """(n_line, n_run, 2 n) [A, m]: currents, then displacements."""
-        return self.channels @ self.to_axes.T
 
 
 def levitation_of(
@@ -79,32 +64,23 @@ def levitation_of(
     displacements = _choose(spectra, DISPLACEMENT, ("output",), names[1], "output")
     displacements = _pair(spectra.channels, currents, displacements)
     chosen = [spectra.channels[n] for n in currents]
-    lines = np.ones(spectra.frequency.size, bool) if band is None else lines_in(spectra.frequency, band)
-    if np.count_nonzero(lines) < LEAST_LINES:
-        hint = (
-            f"{LEAST_LINES} or more: widen `band`, or raise the level, since lines at which no current "
-            "exceeds its noise are left out"
-        )
-        raise FitError(f"{np.count_nonzero(lines)} lines in the band", hint=hint)
     n = len(currents)
-    shared, shared_power = shared_noise(spectra, int(np.count_nonzero(lines)))
     to_axes = np.zeros((2 * n, len(spectra.channels)))
     to_axes[np.arange(n), currents] = 1.0
     at_magnets, bearing, planes = _at_magnets(chosen, [spectra.channels[k] for k in displacements])
     to_axes[n:, displacements] = at_magnets
-    return Levitation(
-        omega=2 * np.pi * spectra.frequency[lines],
-        channels=spectra.vectors[lines],
-        covariance=spectra.covariance[lines],
-        to_axes=to_axes,
+    cure = ", or raise the level, since lines at which no current exceeds its noise are left out"
+    return Levitation.of(
+        spectra,
+        band,
+        to_axes,
+        n,
+        cure,
         mass=mass_matrix(chosen, planes, mass, settings),
         currents=tuple(chosen),
         planes=planes,
         labels=tuple(channel.dof for channel in chosen),
         bearing=bearing,
-        spectra=spectra,
-        shared=shared,
-        shared_power=shared_power,
     )
 
 
@@ -168,12 +144,11 @@ def _plane(channel: Channel) -> float | str:
 
 def _places(channels: Sequence[Channel]) -> FloatArray:
     """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope."""
-    places = [channel.position for channel in channels]
-    for channel, place in zip(channels, places, strict=True):
-        if place is None:
-            what = f"two bearings act in one plane, and the place of channel '{channel.name}' is not known"
-            raise ConfigError(what, hint="position: 120 mm, along the axis")
-    matrix = np.column_stack([np.ones(2), np.array(places, float)])
+    unknown = next((channel.name for channel in channels if channel.position is None), None)
+    if unknown is not None:
+        what = f"two bearings act in one plane, and the place of channel '{unknown}' is not known"
+        raise ConfigError(what, hint="position: 120 mm, along the axis")
+    matrix = np.column_stack([np.ones(2), np.array([channel.position for channel in channels], float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
         what = f"channels {channels[0].name} and {channels[1].name} of one plane have one position"
         raise ConfigError(what, hint="two places")
@@ -191,14 +166,15 @@ def mass_matrix(
     *mass* [kg] of the rotor, or the matrix itself. ConfigError without the moment of inertia where it counts,
     with one where it does not, and for a mass that no rotor has.
     """
-    n = len(currents)
+    n, whole = len(currents), not isinstance(mass, float)
+    given = [name for name in ("inertia", "centre") if getattr(settings, name)]
+    if given and (whole or all(len(axes) == 1 for axes in planes)):
+        of = "one mass of a rotor" if whole else "a rotor"
+        raise SettingError(given[0], f"'{given[0]}' belongs to {of} on two bearings", "leave it out")
     if not isinstance(mass, float):
         return _whole_matrix(np.asarray(mass, float), n)
     if not mass > 0:
         raise SettingError("mass", f"the mass of the rotor is above zero, not {mass:g} kg")
-    given = [name for name in ("inertia", "centre") if getattr(settings, name)]
-    if given and all(len(axes) == 1 for axes in planes):
-        raise SettingError(given[0], f"'{given[0]}' belongs to a rotor on two bearings", "leave it out")
     matrix = np.zeros((n, n))
     for axes in planes:
         if len(axes) == 1:
@@ -254,15 +230,11 @@ class Between:
             later = np.expm1(-corner * t) / np.expm1(-corner * interval)
         z = np.exp(1j * np.asarray(omega) * interval)[:, None]
         ahead, behind = (1 - later) + z * later, (1 - later) / z + later
-        return np.array(
-            [
-                ((interval - t) ** power * ahead + t**power * behind)
-                @ weights
-                / factorial(power)
-                * self.rate**2
-                for power in range(1, 2 * POWERS, 2)
-            ]
+        of_powers = (
+            ((interval - t) ** power * ahead + t**power * behind) @ weights / factorial(power)
+            for power in range(1, 2 * POWERS, 2)
         )
+        return np.asarray(self.rate**2 * np.array(list(of_powers), np.complex128))
 
 
 @dataclass(frozen=True)

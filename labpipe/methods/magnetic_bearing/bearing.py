@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, frequency_hz, synchronous
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.magnetic_bearing.loop import (
     ControlLoop,
     inferred_negative_stiffness,
@@ -67,15 +66,18 @@ class Magnet(Settings):
         self.require_positive("turns", "gap", "pole_area", "recoil", "iron_permeability", "magnet_area")
         self.require_not_negative("bias_current", "coercivity", "magnet_length", "iron_path")
         if not self.bias_current + self.coercivity * self.magnet_length > 0:
-            hint = "give bias_current, or coercivity and length"
+            hint = "give bias_current, or coercivity and magnet_length"
             raise ConfigError("magnet: without bias flux there is no force per current", hint=hint)
+        if bool(self.coercivity) != bool(self.magnet_length):
+            hint = "give both, or leave both out"
+            raise ConfigError("magnet: coercivity and magnet_length belong together", hint=hint)
+        if self.magnet_area is not None and not self.magnet_length:
+            raise SettingError("magnet_area", "magnet_area goes with magnet_length", "leave it out")
 
     @property
     def magnet_reluctance(self) -> float:
         """R_m = l_m / (mu_0 mu_r A_m); zero where no area is given [A/Wb]."""
-        return (
-            0.0 if self.magnet_area is None else self.magnet_length / (MU_0 * self.recoil * self.magnet_area)
-        )
+        return self.magnet_length / (MU_0 * self.recoil * (self.magnet_area or np.inf))
 
     @property
     def iron_length(self) -> float:
@@ -129,13 +131,6 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     )
 
 
-def static_stiffness(factors: MagnetFactors, current_per_displacement: float) -> float:
-    """k_0 = k_i di/dx - k_n of the closed loop at rest. *current_per_displacement* = probe * G(0) * amplifier
-    [A/m] -> [N/m].
-    """
-    return factors.force_per_current * current_per_displacement - factors.negative_stiffness
-
-
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
     """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
     reluctance [m^2]. Equation (mag-area).
@@ -182,20 +177,29 @@ class MagneticFile(Settings):
             raise ConfigError("frequency: is missing, and there is no speed", hint=hint)
         if not self.motion_frequency > 0:
             raise ConfigError(f"frequency: must be above zero, not {self.motion_frequency:g} Hz")
-        self._check_inferred()
-        if self.negative_stiffness is not None and self.static_stiffness is not None:
-            hint = "leave one of them out"
-            raise ConfigError("static_stiffness: negative_stiffness is given as well", hint=hint)
-        if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
-            hint = "or give static_stiffness, or the geometry as magnet"
-            raise ConfigError("negative_stiffness: is missing", hint=hint)
-
-    def _check_inferred(self) -> None:
         entries = [name for owner in (MagneticFile, ControlLoop, Magnet) for name in settings_of(owner)]
         for name in self.inferred:
             if name not in entries:
                 hint = nearest(name, entries)
                 raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=hint)
+        self._check_factors()
+
+    def _check_factors(self) -> None:
+        either = "leave one of them out"
+        if self.negative_stiffness is not None and self.static_stiffness is not None:
+            raise ConfigError("static_stiffness: negative_stiffness is given as well", hint=either)
+        if self.negative_stiffness is None and self.static_stiffness is None and self.magnet is None:
+            hint = "or give static_stiffness, or the geometry as magnet"
+            raise ConfigError("negative_stiffness: is missing", hint=hint)
+        if self.factor_of_loop or "force_per_current" not in self.loop.written:
+            return
+        given = "magnet" if self.force_per_current is None else "force_per_current"
+        raise SettingError("loop", f"loop.force_per_current: '{given}' gives it as well", either)
+
+    @property
+    def factor_of_loop(self) -> bool:
+        """Whether the force per current is that of the loop."""
+        return self.force_per_current is None and self.magnet is None
 
     @property
     def motion_frequency(self) -> float:
@@ -203,27 +207,27 @@ class MagneticFile(Settings):
 
     def levitated(self) -> Suspended:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
-        factor, pull = self.force_per_current, self.negative_stiffness
+        factor, pull, loop = self.force_per_current, self.negative_stiffness, self.loop
         if self.magnet is not None:
             factors = magnet_factors(self.magnet)
             factor = factors.force_per_current if factor is None else factor
             pull = factors.negative_stiffness if pull is None else pull
-        loop = self.loop if factor is None else replace(self.loop, force_per_current=factor)
+        if factor is not None:
+            loop = replace(loop, force_per_current=factor)
         if self.static_stiffness is not None:
             pull = inferred_negative_stiffness(loop, self.static_stiffness)
         assert pull is not None
         return Suspended(loop, pull, self.mass)
 
     def assumptions(self) -> str:
-        single, rate = self.loop.cross is None, self.loop.rate
-        assumptions = [
-            "both directions alike, without coupling"
-            if single
-            else "mass and magnet alike in both directions",
-            f"poles: delay by Pade approximation of order {PADE_ORDER}"
-            if rate is None
-            else f"poles: of the loop sampled at {rate:g} Hz, blocks of s by the bilinear transform",
-        ]
+        of_both, poles = "mass and magnet alike in both directions", f"of order {PADE_ORDER}"
+        if self.loop.cross is None:
+            of_both = "both directions alike, without coupling"
+        poles = f"poles: delay by Pade approximation {poles}"
+        if self.loop.rate is not None:
+            sampled = f"of the loop sampled at {self.loop.rate:g} Hz"
+            poles = f"poles: {sampled}, blocks of s by the bilinear transform"
+        assumptions = [of_both, poles]
         if self.static_stiffness is not None:
             assumptions.append("negative stiffness inferred from the static stiffness")
         if self.inferred:
@@ -235,37 +239,37 @@ class MagneticFile(Settings):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, and
-    the sensitivity's peak.
+    """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, the
+    sensitivity's peak. *sampled*: the poles have the exact delay as well.
     """
 
     poles: ComplexArray
     unstable: int
     peak: SensitivityPeak
+    sampled: bool = False
 
 
 @lru_cache(maxsize=32)
 def verdict(plant: Suspended) -> Verdict:
-    return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant))
-
-
-def magnetic_coefficients(settings: Sequence[MagneticFile]) -> list[BearingCoefficients]:
-    return [_coefficients(entry) for entry in settings]
+    sampled = plant.loop.rate is not None
+    return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant), sampled)
 
 
 def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.motion_frequency])
     stability = verdict(plant)
     (total,) = stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
-    # An unstable loop has no steady response, so its |S| has no meaning.
-    zone = {"sensitivity_zone": stability.peak.zone} if stability.unstable == 0 else {}
     # The stiffness of an integrating controller at rest is infinite.
     at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
     static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
-    peak = [
-        Amount("sensitivity_peak", stability.peak.value, "1"),
-        Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
-    ]
+    words, peak = {"stability": "unstable"}, []
+    # An unstable loop has no steady response, so its |S| has no meaning.
+    if not stability.unstable:
+        words = {"stability": "stable", "sensitivity_zone": stability.peak.zone}
+        peak = [
+            Amount("sensitivity_peak", stability.peak.value, "1"),
+            Amount("sensitivity_frequency", stability.peak.frequency, "Hz"),
+        ]
     return BearingCoefficients(
         dofs=DOFS,
         stiffness=total.real,
@@ -276,7 +280,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
             Amount("negative_stiffness", plant.negative_stiffness, "N/m"),
             Amount("force_per_current", plant.loop.force_per_current, "N/A"),
             Amount("unstable_poles", float(stability.unstable), "1"),
-            *(peak if stability.unstable == 0 else []),
+            *peak,
         ),
         shares=tuple(
             Amount(f"{letter}_{name}", float(value), unit)
@@ -285,11 +289,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
             for value in [share.real if letter == "k" else share.imag / omega[0]]
         ),
         poles=stability.poles,
-        words={
-            "stability": "unstable" if stability.unstable else "stable",
-            **zone,
-            "assumptions": settings.assumptions(),
-        },
+        words={**words, "assumptions": settings.assumptions()},
         findings=stability_findings(stability),
     )
 
@@ -301,24 +301,22 @@ def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
         listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)
-        return (
-            Finding(
-                "unstable-loop",
-                f"the loop is unstable: {stability.unstable} poles grow; at {listed} rad/s (delay "
-                "approximated)",
-            ),
-        )
+        delay = "" if stability.sampled else " (delay approximated)"
+        what = f"the loop is unstable: {growing(stability.unstable)}; at {listed} rad/s{delay}"
+        return (Finding("unstable-loop", what),)
     warnings = []
-    if right.size:
+    if right.size and not stability.sampled:
         what = "the approximated delay gives poles that grow, the exact one gives none"
         warnings.append(Finding("delay-approximation", what))
     if stability.peak.zone in ("C", "D"):
-        peak = (
-            f"sensitivity reaches {stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz: zone "
-            f"{stability.peak.zone}"
-        )
-        warnings.append(Finding("sensitivity", f"{peak} of ISO 14839-3, not fit for long operation"))
+        where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz"
+        what = f"sensitivity reaches {where}: zone {stability.peak.zone} of ISO 14839-3"
+        warnings.append(Finding("sensitivity", f"{what}, not fit for long operation"))
     return tuple(warnings)
+
+
+def growing(count: int) -> str:
+    return "1 pole grows" if count == 1 else f"{count} poles grow"
 
 
 def _dynamic(settings: MagneticFile, omega: FloatArray) -> ComplexArray:
@@ -328,7 +326,7 @@ def _dynamic(settings: MagneticFile, omega: FloatArray) -> ComplexArray:
 
 MAGNETIC_KIND = BearingKind(
     MagneticFile,
-    magnetic_coefficients,
+    lambda settings: [_coefficients(entry) for entry in settings],
     operating={"speed": synchronous, "frequency": frequency_hz},
     lateral=("x", "y"),
     dynamic=_dynamic,

@@ -11,10 +11,10 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.magnetic_bearing import sensitivity, stability
-from labpipe.methods.magnetic_bearing.bearing import MagneticFile
+from labpipe.methods.magnetic_bearing.bearing import MagneticFile, growing
 from labpipe.methods.magnetic_bearing.limits import (
     CertificateSettings,
     Limit,
@@ -95,22 +95,18 @@ class ClosedLoop:
         logarithm, and their budget.
         """
         plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
-        return (
-            with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
-            if self.sources
-            else (tuple(plain), None)
-        )
+        if not self.sources:
+            return tuple(plain), None
+        return with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
 
     def _parameter(self, number: int, name: str, quantile: float) -> Parameter:
         value, error = self.amounts[name], float(np.sqrt(max(self.covariance[number, number], 0.0)))
         unit = next((unit for start, unit in UNITS.items() if name.startswith(start)), "1")
-        ends = (value - quantile * error, value + quantile * error)
+        low, high = value - quantile * error, value + quantile * error
         if name in LOGARITHMIC and value > 0:
-            reach = np.exp(quantile * error / value)
-            ends = (value / reach, value * reach)
-        return Parameter(
-            name, value, unit, std_error=error, ci95=(float(ends[0]), float(ends[1])), derived=True
-        )
+            reach = float(np.exp(quantile * error / value))
+            low, high = value / reach, value * reach
+        return Parameter(name, value, unit, std_error=error, ci95=(low, high), derived=True)
 
 
 def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mode: float) -> ClosedLoop:
@@ -119,10 +115,9 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     """
     values = fit.values()
     plant = with_unknowns(file, values).levitated()
-    unstable = (
-        stability.unstable_poles(plant) if rate is None else int(np.sum(loop_poles(plant, rate).real > 0))
-    )
-    poles = modes_of(loop_poles(plant, rate), highest_mode)
+    all_poles = loop_poles(plant, rate)
+    unstable = stability.unstable_poles(plant) if rate is None else int(np.sum(all_poles.real > 0))
+    poles = modes_of(all_poles, highest_mode)
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
         other = with_unknowns(file, changed).levitated()
@@ -131,15 +126,13 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
         return _amounts(other, rate, near, unstable == 0)
 
     here = at(values)
-    slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters]).reshape(
-        len(fit.parameters), len(here)
-    )
     if not fit.usable:
         return ClosedLoop(here, np.zeros((len(here), len(here))), unstable)
-    changes = fit.changes @ slopes
+    slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters])
     sources = () if fit.budget is None else fit.budget.sources
     bent = _bent(at, values, slopes, fit.covariance + fit.changes.T @ fit.changes)
-    return ClosedLoop(here, slopes.T @ fit.covariance @ slopes, unstable, sources, changes, bent)
+    covariance = slopes.T @ fit.covariance @ slopes
+    return ClosedLoop(here, covariance, unstable, sources, fit.changes @ slopes, bent)
 
 
 def _bent(
@@ -152,17 +145,13 @@ def _bent(
     for column, (name, error) in enumerate(zip(here, errors, strict=True)):
         if not error > 0:
             continue
-        away = REACH * covariance @ slopes[:, column] / error
+        away = dict(zip(values, REACH * covariance @ slopes[:, column] / error, strict=True))
         for sign in (1.0, -1.0):
-            moved = {
-                entry: value + sign * float(step)
-                for (entry, value), step in zip(values.items(), away, strict=True)
-            }
             try:
-                reached = at(moved).get(name, np.nan)
+                moved = at({entry: value + sign * float(away[entry]) for entry, value in values.items()})
             except ConfigError:
-                reached = np.nan
-            if not abs(reached - here[name] - sign * REACH * error) <= BENT * REACH * error:
+                moved = {}
+            if not abs(moved.get(name, np.nan) - here[name] - sign * REACH * error) <= BENT * REACH * error:
                 bent.append(name)
                 break
     return tuple(bent)
@@ -174,27 +163,11 @@ def _slope(at: Amounts, values: Mapping[str, float], parameter: Parameter, names
     return np.array([(ahead.get(name, np.nan) - behind.get(name, np.nan)) / (2 * step) for name in names])
 
 
-def bent_findings(loop: ClosedLoop) -> list[Finding]:
-    """A warning where what the fitted loop says does not follow its unknowns in a straight line within their
-    errors.
-    """
-    if not loop.bent:
-        return []
-    names = ", ".join(loop.bent)
-    what = (
-        f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted "
-        "loop: their intervals are rough"
-    )
-    return [Finding("first-order", what)]
-
-
 def loop_poles(plant: Suspended, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
-    return (
-        stability.closed_loop_poles(plant)
-        if rate is None
-        else stability.sampled_poles(stability.sample(plant, rate), rate)
-    )
+    if rate is None:
+        return stability.closed_loop_poles(plant)
+    return stability.sampled_poles(stability.sample(plant, rate), rate)
 
 
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
@@ -237,48 +210,45 @@ def certificate(
     """The certificate of the loops of one test. ConfigError for channels and settings that do not fit
     together, FitError without a covariance.
     """
-    certificate_settings = resolve(settings)
-    matrix = sensitivity.sensitivity_matrix(response, certificate_settings.before, certificate_settings.after)
+    own = resolve(settings)
+    if file is None:
+        able = ("before", "after", "test", "log_decrement", "zone", "confidence")
+        own.check_written(able, "there is no theory", "theory: {bearing: FILE}, or leave it out")
+    matrix = sensitivity.sensitivity_matrix(response, own.before, own.after)
     loops = [matrix.loop(number) for number in range(len(matrix.loops))]
     peaks = [sensitivity.peak_of(loop) for loop in loops]
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
-    model = None if file is None else _fit(settings, certificate_settings, response, matrix, file)
-    limits = [
-        _zone_limit(certificate_settings, worst, None if model is None else model.trusted),
-        *_decrement_limits(certificate_settings, model),
-    ]
+    model = None if file is None else _fit(settings, own, response, matrix, file)
+    trusted, rejected = (None, "") if model is None else (model.trusted, model.rejected)
+    limits = [_zone_limit(own, worst, trusted), *_decrement_limits(own, model)]
     amounts, budgets = list(measured_amounts), [budget]
     if model is not None and model.loop is not None:
         of_loop, budget = model.loop.parameters(normal_quantile(0.975))
-        amounts, budgets = [*amounts, *of_loop], [*budgets, budget]
+        amounts += of_loop
+        budgets.append(budget)
     amounts += probabilities(limits)
     if model is not None:
-        amounts, budgets = (
-            [*amounts, *goodness(model.fit), *model.fit.parameters],
-            [*budgets, model.fit.budget],
-        )
-    rejected = "" if model is None else model.rejected
+        amounts += [*goodness(model.fit), *model.fit.parameters]
+        budgets.append(model.fit.budget)
     unfounded = (*OF_LOOP, *settings.estimate) if rejected else ()
-    verdict = verdict_of(limits, certificate_settings.confidence)
+    verdict = verdict_of(limits, own.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
+    statement = f"{verdict.capitalize()}: {'; '.join(parts)}."
     return Comparison(
         name=settings.name,
         kind="certificate",
-        subject=f"closed loop by {', '.join(certificate_settings.after)}",
+        subject=f"closed loop by {', '.join(own.after)}",
         unit="1",
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
-        statement=(
-            f"{verdict.capitalize()}: "
-            f"{'; '.join(parts)}.{'' if model is None else f' {fit_statement(model.fit)}'}"
-        ),
+        statement=statement if model is None else f"{statement} {fit_statement(model.fit)}",
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
-        budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
+        budgets=tuple(filter(None, budgets)),
         undecided=(*undecided(limits), *((name, rejected) for name in unfounded)),
     )
 
@@ -317,9 +287,13 @@ OF_LOOP = (
 
 def resolve(settings: CompareSettings) -> CertificateSettings:
     certificate: CertificateSettings = settings.kind_settings
+    twice = {"before", "after"}.intersection(settings.written)
+    if twice and (certificate.before or certificate.after):
+        what = "the points of a loop are named in the comparison and in its section `certificate`"
+        raise SettingError(min(twice), what, "leave them out of one")
     if certificate.after:
         return certificate
-    return replace(certificate, before=certificate.before or (settings.before,), after=(settings.after,))
+    return replace(certificate, before=(settings.before,), after=(settings.after,))
 
 
 def _measured_amounts(
@@ -360,42 +334,43 @@ def _fit(
     if len(matrix.loops) != 1:
         hint = "leave theory out, or certify one loop at a time"
         raise ConfigError("a bearing file describes one loop", hint=hint)
+    if file.loop.cross is not None:
+        what = "a cross-coupled controller couples x and y; a certificate with a theory is that of one loop"
+        raise ConfigError(what, hint="leave cross out, or theory")
     rate = acceptance.rate or file.loop.rate
+    if acceptance.filtered and rate is None:
+        raise SettingError(
+            "filtered", "'filtered' is of a loop that is sampled", "rate: 10 kHz, or leave it out"
+        )
     fit = loop_fit([recorded_loop(acceptance, response, file)], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
     rejected = ""
     if not sound(fit):
-        cause = cause_of(acceptance, response, file, settings.estimate) or (
-            "check signs, units, delays and the controller of the bearing file"
-        )
+        cause = cause_of(acceptance, response, file, settings.estimate)
+        cause = cause or "check signs, units, delays and the controller of the bearing file"
         rejected = f"{_why_rejected(fit)}; {cause}"
     elif loop is not None and loop.unstable:
-        rejected = (
-            f"the fitted loop is unstable, {loop.unstable} poles grow, so it cannot be the recorded one"
-        )
+        rejected = f"the fitted loop is unstable, {growing(loop.unstable)}, so it cannot be the recorded one"
     return FittedModel(file, fit, loop, rejected, rate)
 
 
 def _why_rejected(fit: LoopFit) -> str:
     if fit.chi2_p < MISMATCH_P:
-        return (
-            "the fitted loop leaves more than noise (chi-square per degree of freedom "
-            f"{fit.chi2_reduced:.3g})"
-        )
+        per_dof = f"chi-square per degree of freedom {fit.chi2_reduced:.3g}"
+        return f"the fitted loop leaves more than noise ({per_dof})"
     return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
 
 def _zone_limit(acceptance: CertificateSettings, worst: sensitivity.Peak, loop: ClosedLoop | None) -> Limit:
     """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
-    by_model = loop is not None and "sensitivity_peak" in loop.amounts
     peak, error, whose = worst.value, worst.combined, "measured"
-    if loop is not None and by_model:
+    if loop is not None and "sensitivity_peak" in loop.amounts:
         peak, error = loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak")
         whose = "of the fitted loop"
     probability = below(np.log(peak), error / peak, np.log(dict(stability.ZONES)[acceptance.zone]))
     zone = f"zone {stability.zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
-    if worst.at_edge and not by_model and probability > 1 - acceptance.confidence:
+    if worst.at_edge and whose == "measured" and probability > 1 - acceptance.confidence:
         why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
         return Limit("zone", None, f"{zone}; zone {acceptance.zone} or better not judged, since {why}", why)
     return Limit("zone", probability, f"{zone}; zone {acceptance.zone} or better with {words(probability)}")
@@ -412,15 +387,10 @@ def _decrement_limits(acceptance: CertificateSettings, model: FittedModel | None
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=lambda name: loop.amounts[name])
-    value = loop.amounts[least]
-    probability = min(
-        below(-loop.amounts[name], loop.error(name), -acceptance.least_decrement) for name in loop.modes()
-    )
-    text = (
-        f"log decrement {value:.3g} of mode {least.rpartition('_')[2]}; above {acceptance.least_decrement:g} "
-        f"with {words(probability)}"
-    )
-    return [Limit("log_decrement", probability, text)]
+    limit = acceptance.least_decrement
+    probability = min(below(-loop.amounts[name], loop.error(name), -limit) for name in loop.modes())
+    of_mode = f"log decrement {loop.amounts[least]:.3g} of mode {least.rpartition('_')[2]}"
+    return [Limit("log_decrement", probability, f"{of_mode}; above {limit:g} with {words(probability)}")]
 
 
 def _curves(
@@ -449,8 +419,7 @@ def _curves(
         curves.append(sensitivity.curve_of("", quantity, "1", frequency=frequency, **shown))
     for name, loop in zip(matrix.loops, loops, strict=True):
         label, transfer = f"L {name}" if several else "L", loop.transfer[0]
-        for name_of_part, part in (("real", transfer.real), ("imaginary", transfer.imag)):
-            quantity = f"{label} {name_of_part}"
+        for quantity, part in ((f"{label} real", transfer.real), (f"{label} imaginary", transfer.imag)):
             curves.append(sensitivity.curve_of("", quantity, "1", frequency=frequency, measured=part))
     return tuple(curves)
 
@@ -460,14 +429,16 @@ def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Findi
     if model is None:
         return tuple(findings)
     if model.loop is not None and model.loop.unstable:
-        what = f"the fitted loop is unstable: {model.loop.unstable} poles grow; check signs, mass and delay"
+        what = f"the fitted loop is unstable: {growing(model.loop.unstable)}; check signs, mass and delay"
         findings.append(Finding("unstable-loop", what))
     findings += identifiability_findings(model.fit)
-    findings += [] if model.loop is None else bent_findings(model.loop)
-    if model.fit.chi2_p < MISMATCH_P:
+    if model.loop is not None and model.loop.bent:
+        names = ", ".join(model.loop.bent)
         what = (
-            f"{model.rejected}. What intervals there are count the misfit as noise; this model decides "
-            "nothing"
+            f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted "
         )
-        findings.append(Finding("model-mismatch", what))
+        findings.append(Finding("first-order", f"{what}loop: their intervals are rough"))
+    if model.fit.chi2_p < MISMATCH_P:
+        what = "What intervals there are count the misfit as noise; this model decides nothing"
+        findings.append(Finding("model-mismatch", f"{model.rejected}. {what}"))
     return (*findings, note("assumptions", model.file.assumptions()))

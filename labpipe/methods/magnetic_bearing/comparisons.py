@@ -59,9 +59,10 @@ def prediction(settings: CompareSettings, views: Sequence[loop_problem.View]) ->
         *identifiability_findings(fitted),
         note("assumptions", views[0].file.assumptions()),
     )
-    unstable = any(verdict(view.file.levitated()).unstable for view in views)
-    shares = [_share(bands, name) for name in names]
-    word = "unstable" if unstable else "as predicted" if min(shares) >= ENOUGH else "not as predicted"
+    stability = _stability(views)
+    word = "as predicted" if min(_share(bands, name) for name in names) >= ENOUGH else "not as predicted"
+    if stability[0].value:
+        word = "unstable"
     amounts = [
         Parameter(f"share_{letter}{fitted}", _share(of, name), "1", derived=True)
         for of, fitted in ((bands, ""), (after, "_fitted"))
@@ -75,8 +76,9 @@ def prediction(settings: CompareSettings, views: Sequence[loop_problem.View]) ->
         unit="N/m",
         points=(),
         amounts=(
-            *[*amounts, Parameter("bands", float(len(bands) // 2), "1", derived=True)],
-            *_stability(views),
+            *amounts,
+            Parameter("bands", float(len(bands) // 2), "1", derived=True),
+            *stability,
             *goodness(fitted),
             *fitted.parameters,
         ),
@@ -121,7 +123,7 @@ def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
     # lacks on both sides.
     low, high = measured.measured_ci95 or (float("nan"), float("nan"))
     ends = sorted((low / predicted, high / predicted))
-    band = ComparedBand(
+    return ComparedBand(
         test,
         name,
         measured.unit,
@@ -129,8 +131,9 @@ def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
         value=measured.value,
         ci95=(low, high),
         other=predicted,
+        ratio=measured.value / predicted,
+        ratio_ci95=(ends[0], ends[1]),
     )
-    return replace(band, ratio=measured.value / predicted, ratio_ci95=(ends[0], ends[1]))
 
 
 def _share(bands: Sequence[ComparedBand], name: str) -> float:
@@ -140,24 +143,19 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
 def _stability(views: Sequence[loop_problem.View]) -> list[Parameter]:
     verdicts = [verdict(view.file.levitated()) for view in views]
     peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
-    unstable = Parameter(
-        "unstable_poles", float(max(stability.unstable for stability in verdicts)), "1", derived=True
-    )
-    return [unstable, *([Parameter("sensitivity_peak", max(peaks), "1", derived=True)] if peaks else [])]
+    most = float(max(stability.unstable for stability in verdicts))
+    amounts = {"unstable_poles": most} | ({"sensitivity_peak": max(peaks)} if peaks else {})
+    return [Parameter(name, value, "1", derived=True) for name, value in amounts.items()]
 
 
 def _unstable(views: Sequence[loop_problem.View]) -> list[Finding]:
     findings = []
     for view in views:
         plant = view.file.levitated()
-        prefix = (
-            f"{f'test {view.test}: ' if view.test else ''}prediction for the {plant.mass:g} kg of the "
-            "bearing file: "
-        )
-        findings += [
-            replace(finding, message=prefix + finding.message)
-            for finding in stability_findings(verdict(plant))
-        ]
+        of_test = f"test {view.test}: " if view.test else ""
+        prefix = f"{of_test}prediction for the {plant.mass:g} kg of the bearing file: "
+        for finding in stability_findings(verdict(plant)):
+            findings.append(replace(finding, message=prefix + finding.message))
     return findings
 
 
@@ -173,13 +171,10 @@ def _statement(
     shares = " and ".join(f"{name} in {sum(holds)} of {len(holds)}" for name, holds in held.items())
     sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
     if word == "unstable":
-        tests = ", ".join(
-            view.test or "the test" for view in views if verdict(view.file.levitated()).unstable
-        )
-        sentences.append(
-            f"The loop as stated is unstable on the mass of the bearing file ({tests}), "
-            "whatever the bands show."
-        )
+        growing = (view.test for view in views if verdict(view.file.levitated()).unstable)
+        tests = ", ".join(test or "the test" for test in growing)
+        what = f"The loop as stated is unstable on the mass of the bearing file ({tests})"
+        sentences.append(f"{what}, whatever the bands show.")
     sentences.append(fit_statement(fitted))
     if after:
         shares_after = " and ".join(f"{name} in {100 * _share(after, name):.0f} %" for name in names)
@@ -230,21 +225,16 @@ def _theory(settings: CompareSettings, evidence: Evidence) -> MagneticTheory | N
 def prediction_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
     """k and c of a loop predicted from its bearing file beside those of every band."""
     theory = _theory(settings, evidence)
-    if theory is None:
-        raise ConfigError("a prediction needs a theory", hint="theory: {bearing: FILE}")
-    return prediction(
-        settings, [loop_problem.checked_view(view) for view in _views(settings, evidence, theory)]
-    )
-
-
-def _views(settings: CompareSettings, evidence: Evidence, theory: MagneticTheory) -> list[loop_problem.View]:
-    named, views = evidence.fits_of(settings), []
+    # A comparison of this kind needs one.
+    assert theory is not None
+    named, of_fit, views = evidence.fits_of(settings), evidence.settings_of(settings.fit), []
     for test in dict.fromkeys(fit.test for fit in named):
         response = evidence.response(test)
         at = condition_of(settings.condition, test, response.conditions) if settings.over else (None, "")
         fits = tuple(fit for fit in named if fit.test == test)
-        views.append(loop_problem.View(test, response, evidence.settings_of(settings.fit), fits, theory(*at)))
-    return views
+        view = loop_problem.View(test, response, of_fit, fits, theory(*at))
+        views.append(loop_problem.checked_view(view))
+    return prediction(settings, views)
 
 
 def sensitivity_of_test(settings: CompareSettings, evidence: Evidence) -> Comparison:
@@ -254,32 +244,27 @@ def sensitivity_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
         raise ConfigError(f"a sensitivity is that of one test, not of {len(evidence.responses)}", hint=hint)
     response = evidence.responses[0]
     comparison = loop_sensitivity(settings, response, _file_of(settings, evidence))
-    return _with_directions_left_out(
-        comparison, [port for port in response.outputs if port.label in (settings.before, settings.after)]
-    )
+    sides = [port for port in response.outputs if port.label in (settings.before, settings.after)]
+    return _with_directions_left_out(comparison, sides)
 
 
 def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Comparison:
     """The certificate of a closed loop, or of the decrements of a fit."""
     if settings.fit:
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
-    certificate_settings = resolve(settings)
+    own = resolve(settings)
     tests: list[FrequencyResponse | ChannelSpectra] = [*evidence.responses, *evidence.spectra]
     names = ", ".join(test.name for test in tests if test.name) or f"{len(tests)} without names"
-    if certificate_settings.test:
-        tests = [test for test in tests if test.name == certificate_settings.test]
+    if own.test:
+        tests = [test for test in tests if test.name == own.test]
     if len(tests) != 1:
-        wanted = (
-            f"no test '{certificate_settings.test}'" if certificate_settings.test else "one test is needed"
-        )
+        wanted = f"no test '{own.test}'" if own.test else "one test is needed"
         hint = "one comparison per test, certificate: {test: NAME}"
         raise ConfigError(f"a certificate is that of one loop: {wanted} among {names}", hint=hint)
     response = tests[0] if isinstance(tests[0], FrequencyResponse) else per_injection(tests[0])
     comparison = certificate(settings, response, _file_of(settings, evidence))
-    outputs = [port for port in response.outputs if port.label in certificate_settings.recorded]
-    return _with_directions_left_out(
-        comparison, [*outputs, *(() if certificate_settings.before else response.inputs)]
-    )
+    outputs = [port for port in response.outputs if port.label in own.recorded]
+    return _with_directions_left_out(comparison, [*outputs, *(() if own.before else response.inputs)])
 
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
@@ -287,11 +272,9 @@ def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> 
     names = loop_problem.directions_left_out(ports)
     if not names:
         return comparison
-    message = (
-        f"uncertainties of the directions of {', '.join(names)} are not propagated: no other channel "
-        "tells the motion across"
-    )
-    return replace(comparison, findings=(*comparison.findings, Finding("number-uncertainty", message)))
+    what = f"uncertainties of the directions of {', '.join(names)} are not propagated"
+    finding = Finding("number-uncertainty", f"{what}: no other channel tells the motion across")
+    return replace(comparison, findings=(*comparison.findings, finding))
 
 
 PREDICTION = ComparisonKind(

@@ -4,7 +4,6 @@ and block (an amplifier, a sensor or a whole chain as gain, delay and low-pass).
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,21 +12,22 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.descent import Minimum, minimise, sum_of_squares
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, widen
+from labpipe.estimation.statistics import Estimate, determination, inflation_factors
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
-from labpipe.methods.floating_bearing.values import as_estimate, budgeted, plain_values, unconverged
+from labpipe.methods.floating_bearing.values import balance_fit, budgeted, plain_values
 from labpipe.methods.magnetic_bearing import balance, likelihood
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings, MagnetSettings
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import RobustPlant, systematic
 from labpipe.records.identification import Candidate, Fit, FittedCurve, Goodness
+from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE, Uncertainties
 from labpipe.records.spectra import ChannelSpectra
@@ -51,11 +51,7 @@ def robust_plant(
     # An element that the model lacks has no size of its own.
     weight = radius / np.linalg.norm(curve.fitted, 2, axis=(1, 2))[:, None, None]
     a, b, c, d = state_space(best.model, best.values)
-    n_output, n_input = weight.shape[1:]
-    bounds = [
-        [overbound(curve.frequency, weight[:, row, column]) for column in range(n_input)]
-        for row in range(n_output)
-    ]
+    bounds = [[overbound(curve.frequency, element) for element in row] for row in weight.transpose(1, 2, 0)]
     return RobustPlant(
         frequency=curve.frequency,
         nominal=curve.fitted,
@@ -140,7 +136,7 @@ def magnet_error(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> 
         motion=axes[..., n:],
         size=np.sqrt(np.mean(np.abs(inertia) ** 2, axis=(0, 1))),
         gains=np.einsum("lac,lrc->clra", rows, axes),
-        larger=likelihood.noise_of(rotor).inflation,
+        larger=rotor.noise.inflation,
     )
     cause = (
         "the rotor is no rigid mass in the band (bending, a moving housing), another force acts, the mass is "
@@ -162,10 +158,13 @@ def sign_findings(model: balance.MagnetModel, parameters: Sequence[Parameter]) -
 
 
 def fit_notes(
-    rotor: balance.Levitation, best: likelihood.MagnetEstimate, uncertainties: Uncertainties
+    rotor: balance.Levitation,
+    best: likelihood.MagnetEstimate,
+    parameters: Sequence[Parameter],
+    uncertainties: Uncertainties,
 ) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force, and what least squares without regard to noise
-    would give.
+    """Sign and size of what was estimated, its use as a force with all its uncertainty, and what least
+    squares without regard to noise would give.
     """
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
@@ -174,13 +173,10 @@ def fit_notes(
         "away from the centre (the `negative_stiffness` of a bearing file is -k_s). It holds for motions of "
         f"this size: r.m.s. {size:.3g} um."
     ]
-    if n == 1:
-        values = dict(zip(best.model.names, best.values, strict=True))
-        errors = dict(zip(best.model.names, np.sqrt(np.diag(best.covariance)), strict=True))
-        current, motion = (rotor.spectra.channels[int(np.flatnonzero(row)[0])].name for row in rotor.to_axes)
+    if n == 1 and best.converged:
         terms = ", ".join(
-            f"{name}: {sign * values[kind]:.6g} {unit} +- {errors[kind]:.2g} {unit}"
-            for name, kind, sign, unit in ((current, "k_i", 1, "N/A"), (motion, "k_s", -1, "N/m"))
+            f"{channel.name}: {sign * p.value:.6g} {p.unit} +- {p.full_error:.2g} {p.unit}"
+            for channel, sign, p in zip(_channels(rotor), (1, -1), parameters, strict=False)
         )
         notes.append(
             f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
@@ -202,6 +198,11 @@ def fit_notes(
     return tuple(notes)
 
 
+def _channels(rotor: balance.Levitation) -> list[Channel]:
+    """Of every current, then of every displacement, the channel or the first of those that give it."""
+    return [rotor.spectra.channels[int(np.flatnonzero(row)[0])] for row in rotor.to_axes]
+
+
 def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCurve | None:
     """Displacement per current, X I^-1 of the runs, against the model; none where a line has too few runs."""
     axes, n = rotor.axes, rotor.n_axis
@@ -212,7 +213,7 @@ def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCu
     measured = motions @ inverse
     rows = best.model.rows(best.values, rotor.omega)
     fitted = -np.linalg.solve(rows[:, :, n:], rows[:, :, :n])
-    channels = [rotor.spectra.channels[int(np.flatnonzero(row)[0])] for row in rotor.to_axes]
+    channels = _channels(rotor)
     return FittedCurve(
         rotor.omega / (2 * np.pi),
         measured,
@@ -244,59 +245,46 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
-    magnet_settings: MagnetSettings = settings.model_settings
+    own: MagnetSettings = settings.model_settings
     mass: FloatArray | float = settings.mass if isinstance(settings.mass, float) else np.array(settings.mass)
     if np.ndim(mass) == 1:
         mass = np.diag(mass)
-    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, magnet_settings)
-    between = (
-        None
-        if magnet_settings.hold is None
-        else balance.Between(magnet_settings.hold, magnet_settings.amplifier_bandwidth)
-    )
-    if between is not None and rotor.omega[-1] > np.pi * between.rate:
-        what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
-        raise SettingError("hold", what, "hold is the rate of the recording")
-    model = balance.magnet_model(
-        rotor.labels,
-        rotor.bearing,
-        rotor.mass,
-        magnet_settings.coupling,
-        magnet_settings.passive_damping,
-        between,
-    )
+    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, own)
+    between = None
+    if own.hold is not None:
+        between = balance.Between(own.hold, own.amplifier_bandwidth)
+        if rotor.omega[-1] > np.pi * between.rate:
+            what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
+            raise SettingError("hold", what, "hold is the rate of the recording")
+    coupling, damping = own.coupling, own.passive_damping
+    model = balance.magnet_model(rotor.labels, rotor.bearing, rotor.mass, coupling, damping, between)
     best = likelihood.magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
     error = magnet_error(rotor, best)
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
     vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
     valued = plain_values(model.names, model.units, best.values, covariances, best.dof, vifs)
     parameters, budget = budgeted(valued, best.uncertainties, best.dof)
-    if not best.converged:
-        parameters = unconverged(parameters)
-    gof = _goodness(rotor, model, best)
-    stated, n_line = as_estimate(best, gof, best.amplification), rotor.omega.size
+    band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
+    gof, shown = _goodness(rotor, model, best), error.named(parameters)
+    fit = balance_fit(settings, best, gof, best.amplification, shown, band, rotor.omega.size, remedy)
     findings = (
-        *estimate_findings(stated, model.names, n_line, model.units, remedy),
-        *goodness_findings(gof),
+        *fit.findings,
         *error.finding,
         *likelihood.late_findings(rotor, best),
-        *sign_findings(model, parameters),
-        *few_averages(likelihood.noise_of(rotor)),
+        *sign_findings(model, fit.parameters),
+        *few_averages(rotor.noise),
         *spectra.findings,
     )
     curve = draw(rotor, best)
-    plant = (
-        None
-        if curve is None
-        else robust_plant(best, curve, spectra.covariance_dof, magnet_settings.band_confidence)
-    )
-    band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
+    plants: tuple[RobustPlant, ...] = ()
+    if curve is not None:
+        plants = (robust_plant(best, curve, spectra.covariance_dof, own.band_confidence),)
     return replace(
-        reported_fit(settings, stated, error.named(parameters), band, n_line),
+        fit,
         findings=findings,
-        notes=fit_notes(rotor, best, settings.uncertainties),
+        notes=fit_notes(rotor, best, parameters, settings.uncertainties),
         curve=curve,
-        details=() if plant is None else (plant,),
+        details=plants,
         budget=budget if best.converged else None,
         discrepancy=error.discrepancy,
     )
@@ -306,24 +294,22 @@ def _uncertainties_of_mass(
     rotor: balance.Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
-    magnet_settings: MagnetSettings = settings.model_settings
-    mass_of = functools.partial(balance.mass_matrix, rotor.currents, rotor.planes)
+    own: MagnetSettings = settings.model_settings
+    of_mass, inertia = dict(settings.uncertainties).get("mass"), own.inertia
     given: list[tuple[Uncertainty, FloatArray]] = []
-    of_mass = dict(settings.uncertainties).get("mass")
-    if of_mass is not None and of_mass.std_error > 0 and isinstance(mass, float):
-        source = f"mass of the rotor, {of_mass.value:g} kg +- {of_mass.std_error:g} kg"
-        given.append(
-            (
-                uncertainty_of(of_mass, source, "kg"),
-                mass_of(mass + of_mass.std_error, magnet_settings) - rotor.mass,
-            )
-        )
-    inertia = magnet_settings.inertia
+
+    def add(name: str, number: Uncertain, unit: str, larger: float, with_larger: MagnetSettings) -> None:
+        source = f"{name}, {number.value:g} {unit} +- {number.std_error:g} {unit}"
+        matrix = balance.mass_matrix(rotor.currents, rotor.planes, larger, with_larger)
+        given.append((uncertainty_of(number, source, unit), matrix - rotor.mass))
+
+    if not isinstance(mass, float):
+        return given
+    if of_mass is not None and of_mass.std_error > 0:
+        add("mass of the rotor", of_mass, "kg", mass + of_mass.std_error, own)
     if inertia is not None and inertia.std_error > 0:
-        larger = replace(magnet_settings, inertia=Uncertain(inertia.value + inertia.std_error))
-        change = mass_of(mass, larger) - rotor.mass
-        source = f"moment of inertia, {inertia.value:g} kg.m^2 +- {inertia.std_error:g} kg.m^2"
-        given.append((uncertainty_of(inertia, source, "kg.m^2"), change))
+        larger = Uncertain(inertia.value + inertia.std_error)
+        add("moment of inertia", inertia, "kg.m^2", mass, replace(own, inertia=larger))
     return given
 
 
@@ -377,9 +363,9 @@ class Block:
     def reported(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Parameters (n,) [their units] and their slopes (n,) over the values."""
         shown = np.exp(values)
-        shown[0], shown[1] = self.sign * shown[0], values[1] / self.highest
-        slopes = np.abs(shown)
-        slopes[1] = 1 / self.highest
+        shown[0] *= self.sign
+        slopes = shown.copy()
+        shown[1], slopes[1] = values[1] / self.highest, 1 / self.highest
         return shown, slopes
 
 
@@ -415,41 +401,47 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     if len(rows) != 1 or len(columns) != 1:
         what = f"a block has one input and one output, not {len(columns)} and {len(rows)}"
         raise ConfigError(what, hint="name them: input, output")
-    fits = []
+    block_settings: BlockSettings = settings.model_settings
+    auto, fits = block_settings.order == AUTO, []
     for band in settings.bands or (settings.band,):
         lines = np.ones(response.frequency.size, bool) if band is None else lines_in(response.frequency, band)
         measured = measured_part(replace(response, form="receptance"), rows, columns, lines)
-        block_settings: BlockSettings = settings.model_settings
-        if not has_noise(measured):
+        if measured.covariance is None or not has_noise(measured):
             raise FitError("the noise of the response is not known", hint="average several periods or blocks")
+        silent = measured.omega[measured.covariance[:, 0, 0].real <= 0]
+        if silent.size:
+            hint = "leave it out (`exclude`), or average several periods or blocks"
+            raise FitError(f"the line at {silent[0] / (2 * np.pi):g} Hz has no noise", hint=hint)
         if measured.omega.size < LEAST_LINES:
             hint = f"{LEAST_LINES} or more: widen `band`"
             raise FitError(f"{measured.omega.size} lines in the band", hint=hint)
-        orders = ORDERS[1:] if block_settings.order == AUTO else [block_settings.order]
-        minima = [minimum for order in orders if (minimum := _most_likely(measured, int(order))) is not None]
-        if not minima:
+        orders = ORDERS[1:] if auto else [block_settings.order]
+        minima = filter(None, (_most_likely(measured, int(order)) for order in orders))
+        pairs = [(_candidate(measured, *minimum), minimum) for minimum in minima]
+        if not pairs:
             raise FitError("no block can be determined by these lines", hint="widen the band")
-        pairs = sorted(
-            ((_candidate(measured, *minimum), minimum) for minimum in minima),
-            key=lambda pair: pair[0].bic or 0.0,
-        )
-        candidates = tuple(candidate for candidate, _ in pairs) if block_settings.order == AUTO else ()
+        pairs.sort(key=lambda pair: pair[0].bic or 0.0)
+        candidates = tuple(candidate for candidate, _ in pairs) if auto else ()
         fits.append(_report(measured, response, settings, *pairs[0][1], candidates))
     return tuple(fits)
 
 
 def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
-    sign = float(np.sign(measured.matrix[0, 0, 0].real)) or 1.0
-    problem = _Problem(measured, Block(order, sign, float(measured.omega[-1])))
-    level = float(np.log(np.abs(measured.matrix[0, 0, 0])))
-    highest = float(measured.omega[-1]) / (2 * np.pi)
+    response, omega = measured.matrix[:, 0, 0], measured.omega
+    highest, level = float(omega[-1]), float(np.log(np.abs(response[0])))
+    # A delay turns the phase of the lowest line as well: the sign by the phase there, and by its course.
+    slope, at_rest = np.polyfit(omega, np.unwrap(np.angle(response)), 1)
+    begun = ((float(np.sign(response[0].real)) or 1.0, 0.0), (float(np.copysign(1, np.cos(at_rest))), -slope))
     ends = []
-    for share in CORNERS if order else (1.0,):
-        corner = np.log(share * highest)
-        shape = [[], [corner], [corner, np.log(DAMPING)], [corner, corner, np.log(DAMPING)]][order]
-        ends.append(minimise(problem, np.array([level, 0.0, *shape])))
-    ends = [end for end in ends if end.converged and np.linalg.cond(problem.jacobian(end.values)) < 1 / STEP]
-    return (problem, min(ends, key=lambda end: problem.chi2(end.values))) if ends else None
+    for sign, delay in begun:
+        problem = _Problem(measured, Block(order, sign, highest))
+        for share in CORNERS if order else (1.0,):
+            corner = np.log(share * highest / (2 * np.pi))
+            shape = [[], [corner], [corner, np.log(DAMPING)], [corner, corner, np.log(DAMPING)]][order]
+            end = minimise(problem, np.array([level, delay * highest, *shape]))
+            if end.converged and np.linalg.cond(problem.jacobian(end.values)) < 1 / STEP:
+                ends.append((problem, end))
+    return min(ends, key=lambda pair: pair[0].chi2(pair[1].values), default=None)
 
 
 def _candidate(measured: Measured, problem: _Problem, minimum: Minimum) -> Candidate:
@@ -472,9 +464,7 @@ def _report(
 ) -> Fit:
     best = _candidate(measured, problem, minimum)
     jacobian = problem.jacobian(minimum.values)
-    covariance = weight_uncertainty(measured, best.dof).inflation * np.linalg.pinv(
-        jacobian.T @ jacobian, hermitian=True
-    )
+    inflation = weight_uncertainty(measured, best.dof).inflation
     assert best.chi2_p is not None
     factor = float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p < MISMATCH_P else 1.0
     design = triangle_of(jacobian)
@@ -482,36 +472,32 @@ def _report(
     fitted = problem.block.response(minimum.values, measured.omega)[:, None, None]
     r2, adjusted = determination(measured.matrix, measured.matrix - fitted, values.size)
     gof = Goodness(r2, adjusted, best.chi2 / best.dof, best.chi2_p)
-    names = tuple(name for name, _ in problem.block.names)
-    vifs, errors = inflation_factors(design), slopes * np.sqrt(np.diag(covariance))
-    plain = [
-        estimated(name, unit, float(value), float(error), best.dof, float(vif))
-        for (name, unit), value, error, vif in zip(problem.block.names, values, errors, vifs, strict=True)
-    ]
-    parameters = [widen(parameter, factor) if factor > 1 else parameter for parameter in plain]
+    names, units = zip(*problem.block.names, strict=True)
+    inner = inflation * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance, vifs = np.outer(slopes, slopes) * inner, inflation_factors(design)
+    covariances = covariance, factor**2 * covariance
+    valued = plain_values(names, units, values, covariances, best.dof, vifs)
     as_estimate = Estimate(
         values=values,
         covariance=covariance,
         scaled_design=design,
         gof=gof,
         dof=best.dof,
-        converged=minimum.converged,
+        converged=True,
         iterations=minimum.steps,
     )
-    excess = (
-        f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
-        "loop biases its FRF"
-    )
-    cure = "`frf: {reference: r}` where the loop is closed"
-    mismatch = [Finding("model-mismatch", f"{excess}; {cure}")] if factor > 1 else []
+    mismatch = []
+    if factor > 1:
+        excess = (
+            f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
+            "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
+        )
+        mismatch = [Finding("model-mismatch", excess)]
     frequency = measured.omega / (2 * np.pi)
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
-    shown = tuple(parameters) if minimum.converged else without_intervals(parameters)
-    ports = (measured.outputs, measured.inputs)
-    outputs, inputs = (tuple(port.label for port in side) for side in ports)
     return replace(
-        reported_fit(settings, as_estimate, shown, band, frequency.size),
+        reported_fit(settings, as_estimate, tuple(v.parameter for v in valued), band, frequency.size),
         findings=(
             *estimate_findings(as_estimate, names, frequency.size),
             *goodness_findings(gof),
@@ -524,8 +510,8 @@ def _report(
             measured.matrix,
             fitted,
             variance=measured.covariance[:, :1, :1].real,
-            outputs=outputs,
-            inputs=inputs,
+            outputs=tuple(port.label for port in measured.outputs),
+            inputs=tuple(port.label for port in measured.inputs),
             form=response.form,
         ),
     )

@@ -42,6 +42,7 @@ class BendingMode(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("frequency")
+        self.require_not_negative("damping_ratio")
         for name in ("at_bearings", "at_sensors"):
             if len(getattr(self, name)) != len(ENDS):
                 raise SettingError(name, f"'{name}' needs a number for each of the two ends")
@@ -158,18 +159,17 @@ class LevitatedRig(Settings):
     def __post_init__(self) -> None:
         self.require_positive("mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
         self.require_not_negative("speed", "damping", "unbalance", "runout")
-        if self.axes == "x" and (
-            self.cross_stiffness or (self.rotor is not None and self.rotor.polar_inertia)
-        ):
+        polar_inertia = self.rotor is not None and self.rotor.polar_inertia
+        if self.axes == "x" and (self.cross_stiffness or polar_inertia):
             raise SettingError("axes", "cross-coupling and gyroscopic moments need both axes", "axes: xy")
-        _whole(
-            self.control.rate / self.sample_rate,
-            f"the recording's rate divides that of the controller, {self.control.rate:g} Hz",
-        )
-        _whole(
-            self.sample_rate / self.injection.spacing,
-            "a period of the injection holds no whole number of samples",
-        )
+        if self.rotor is None and self.unbalance_place:
+            raise SettingError("unbalance_place", "a mass on one bearing has no places", "leave it out")
+        what = f"the recording's rate divides that of the controller, {self.control.rate:g} Hz"
+        _whole(self.control.rate / self.sample_rate, what)
+        what = "a period of the injection holds no whole number of samples"
+        _whole(self.sample_rate / self.injection.spacing, what)
+        if self.injection.duration * self.sample_rate < 1:
+            raise SettingError("injection", "its duration holds no sample", "for example duration: 20 s")
         if not self.injection.band[1] < self.sample_rate / 2:
             what = f"the injection's band must lie below {self.sample_rate / 2:g} Hz"
             raise SettingError("injection", what)
@@ -181,11 +181,8 @@ class LevitatedRig(Settings):
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the controlled axes: x, y of one bearing, ax, ay, bx, by of two."""
-        return (
-            AXES[self.axes]
-            if self.rotor is None
-            else tuple(end + axis for end in ENDS for axis in AXES[self.axes])
-        )
+        ends = ("",) if self.rotor is None else ENDS
+        return tuple(end + axis for end in ends for axis in AXES[self.axes])
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -252,19 +249,14 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
 
 
 def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
+    rigid = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
+    if rotor.bending is None:
+        return rigid
+    natural = 2 * np.pi * rotor.bending.frequency
+    of_mode = 1.0, 0.0, natural**2, 2 * rotor.bending.damping_ratio * natural
     masses, gyroscopic, stiffnesses, damping = (
-        [mass, rotor.inertia],
-        [0.0, rotor.polar_inertia],
-        [0.0, 0.0],
-        [0.0, 0.0],
+        [*both, own] for both, own in zip(rigid, of_mode, strict=True)
     )
-    if rotor.bending is not None:
-        natural = 2 * np.pi * rotor.bending.frequency
-        masses, gyroscopic = [*masses, 1.0], [*gyroscopic, 0.0]
-        stiffnesses, damping = (
-            [*stiffnesses, natural**2],
-            [*damping, 2 * rotor.bending.damping_ratio * natural],
-        )
     return masses, gyroscopic, stiffnesses, damping
 
 
@@ -283,11 +275,11 @@ def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
     """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
     y.
     """
-    n = len(rig.labels)
-    coupling = (
-        np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness if rig.axes == "xy" else np.zeros((1, 1))
-    )
-    return np.asarray(-rig.negative_stiffness * np.eye(n) + np.kron(np.eye(n // coupling.shape[0]), coupling))
+    own = -rig.negative_stiffness * np.eye(len(rig.labels))
+    if rig.axes == "x":
+        return own
+    coupling = np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness
+    return np.asarray(own + np.kron(np.eye(len(own) // 2), coupling))
 
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
@@ -302,12 +294,7 @@ def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
         + of.stiffness
         + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
     )
-    return np.asarray(
-        of.at_sensors
-        @ np.linalg.solve(
-            dynamic, np.broadcast_to(of.at_bearings.T, (*jw.shape[:1], *of.at_bearings.T.shape))
-        )
-    )
+    return np.asarray(of.at_sensors @ np.linalg.inv(dynamic) @ of.at_bearings.T)
 
 
 @dataclass(frozen=True)
@@ -343,9 +330,9 @@ class LevitatedLoop:
         """
         growth = float(np.max(self.poles.real))
         if growth > sampled_loop.ROUNDING * self.rate:
-            message = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
+            what = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
             hint = "raise proportional and derivative gain, or shorten the delay"
-            raise SettingError("control", message, hint)
+            raise SettingError("control", what, hint)
         outputs = sampled_loop.linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
         return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]
@@ -365,13 +352,11 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
 
     def advance(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         motion, memory, waiting = np.split(state, [n_plant, n_plant + 2 * n_axis])
-        forces, seen, added_in, added_out = np.split(
-            inputs, [2 * n_q, 2 * n_q + n_axis, 2 * n_q + 2 * n_axis]
-        )
+        forces, others = inputs[: 2 * n_q], inputs[2 * n_q :].reshape(3, n_axis)
+        seen, added_in, added_out = others
         error = mixing @ (of.at_sensors @ motion[:n_q] + seen + added_in)
-        parts = [
-            b0 * error + stored for (b0, _, _), stored in zip(terms, memory.reshape(2, n_axis), strict=True)
-        ]
+        pairs = zip(terms, memory.reshape(2, n_axis), strict=True)
+        parts = [b0 * error + stored for (b0, _, _), stored in pairs]
         memories = [b1 * error - a1 * part for (_, b1, a1), part in zip(terms, parts, strict=True)]
         output = added_out - control.proportional * error - parts[0] - parts[1]
         line = np.concatenate([waiting, output])

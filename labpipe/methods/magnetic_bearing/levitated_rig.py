@@ -12,6 +12,7 @@ import scipy
 from scipy import fft
 
 from labpipe.arrays import FloatArray
+from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.levitated_loop import (
     AXES,
     BETWEEN,
@@ -115,6 +116,8 @@ def _random(
     """White in the injection's band; *straight_lines*: what is straight between samples is."""
     frequency = fft.rfftfreq(shape[0], 1 / rig.control.rate)
     inside = (frequency >= rig.injection.band[0]) & (frequency <= rig.injection.band[1])
+    if not inside.any():
+        raise SettingError("injection", "no line of a whole recording lies in its band", "widen it")
     spectrum = np.zeros((frequency.size, shape[1]), np.complex128)
     draws = rng.standard_normal((int(np.sum(inside)), shape[1], 2)) @ np.array([1.0, 1j])
     spectrum[inside] = draws * rms * shape[0] / np.sqrt(4 * draws.shape[0])
@@ -162,13 +165,8 @@ def _channels(rig: LevitatedRig, name: str) -> list[Channel]:
 
 def _measuring_noise(rig: LevitatedRig, channel: Channel) -> float:
     """Standard deviation that the logger adds [A, N, A or m]; sensor noise is in the loop already."""
-    if channel.name.startswith("r_"):
-        return rig.noise.reference
-    if channel.name.startswith("s_"):
-        return rig.noise.force
-    if channel.name.startswith("u_"):
-        return 0.0
-    return rig.noise.current if channel.role != "output" else 0.0
+    own = {"r_": rig.noise.reference, "s_": rig.noise.force, "u_": 0.0}
+    return own.get(channel.name[:2], 0.0 if channel.role == "output" else rig.noise.current)
 
 
 def truth(rig: LevitatedRig) -> dict[str, Any]:

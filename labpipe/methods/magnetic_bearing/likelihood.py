@@ -1,9 +1,8 @@
 """The most likely K_i and K_s by errors in variables, what noise leaves of them, and what uncertainties of
 given numbers do.
 
-With S = B C B^H the likelihood of z over all true z with B z = 0 is, but for constants, V = sum over lines
-and runs of (B z)^H S^-1 (B z) (Pintelon and Schoukens 2012, System Identification, sec. 9.10); the gradient
-is that of L^-1 dB/dp z^ with z^ the channels without the noise that the residual tells.
+With S = B C B^H it is that of a floating bearing (`floating_bearing.likelihood`), V = sum of (B z)^H S^-1 (B
+z); its gradient is that of L^-1 dB/dp z^ with z^ the channels without the noise that the residual tells.
 """
 
 from __future__ import annotations
@@ -18,9 +17,8 @@ from labpipe.errors import FitError
 from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays_of_grid, is_late
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.regression import triangle_of
 from labpipe.methods.floating_bearing import likelihood
-from labpipe.methods.floating_bearing.settings import given_uncertainties, join, response_of
+from labpipe.methods.floating_bearing.settings import factor_errors, given_uncertainties, join, response_of
 from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
@@ -31,11 +29,10 @@ REWEIGHTED = 4
 
 @dataclass(frozen=True)
 class Residual:
-    """e = B z (n_line, n_run, n) [N], L L^H = S (n_line, n_run, n, n), white = L^-1 e, smoothed channels z^
+    """L L^H = S (n_line, n_run, n, n), white = L^-1 e of e = B z (n_line, n_run, n) [N], smoothed channels z^
     (n_line, n_run, n_channel).
     """
 
-    plain: ComplexArray
     lower: ComplexArray
     white: ComplexArray
     smoothed: ComplexArray
@@ -58,8 +55,7 @@ class MagnetLikelihood:
         axes, n = self.rotor.axes, self.rotor.n_axis
         to_currents = self.rotor.to_axes[:n]
         noise = np.einsum("ac,lrcd,ad->lra", to_currents, self.rotor.covariance, to_currents).real
-        power = np.abs(axes[..., :n]) ** 2
-        return float(np.sqrt(np.sum(np.divide(power, noise, out=np.zeros_like(power), where=noise > 0))))
+        return likelihood.size_over_noise(np.abs(axes[..., :n]) ** 2, noise)
 
     def at(self, values: FloatArray) -> Residual:
         """The whitened residual at *values* (n_parameter,) [parameter units]."""
@@ -112,7 +108,7 @@ def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
     lower = np.linalg.cholesky(b @ of_channels)
     white = np.linalg.solve(lower, e[..., None])
     weighted = np.linalg.solve(lower.conj().swapaxes(-1, -2), white)
-    return Residual(e, lower, white[..., 0], rotor.channels - (of_channels @ weighted)[..., 0])
+    return Residual(lower, white[..., 0], rotor.channels - (of_channels @ weighted)[..., 0])
 
 
 def start(problem: MagnetLikelihood) -> FloatArray:
@@ -151,14 +147,11 @@ def _least_squares(columns: ComplexArray, side: ComplexArray) -> FloatArray:
     design = likelihood.real_rows(columns.reshape(len(columns), -1)).T
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    return np.asarray(
-        -np.linalg.lstsq(design / scale, likelihood.real_rows(side.reshape(1, -1))[0], rcond=None)[0] / scale
-    )
+    right = likelihood.real_rows(side.reshape(1, -1))[0]
+    return np.asarray(-np.linalg.lstsq(design / scale, right, rcond=None)[0] / scale)
 
 
 NEAR, MOST_STEPS = 1e-4, 60
-# Relative noise below which a covariance is rounding.
-NOISE_FREE = 1e-20
 
 
 @dataclass(frozen=True)
@@ -171,11 +164,6 @@ class MagnetEstimate(likelihood.BalanceEstimate[MagnetModel]):
     amplification: FloatArray
 
 
-def noise_of(rotor: Levitation) -> likelihood.Noise:
-    """How far the covariance of the channels is known, for as many equations as there are axes."""
-    return likelihood.Noise(rotor.spectra.covariance_dof, rotor.shared, rotor.shared_power, rotor.n_axis)
-
-
 def magnet_estimate(
     rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()
 ) -> MagnetEstimate:
@@ -184,51 +172,25 @@ def magnet_estimate(
 
     FitError for too few lines, a covariance from too few periods, channels without noise.
     """
-    noise, n = noise_of(rotor), len(model.names)
+    noise, n = rotor.noise, len(model.names)
     n_equation = 2 * rotor.omega.size * rotor.channels.shape[1] * rotor.n_axis
     if n_equation <= n:
         hint = "widen the band, or `coupling: direct`"
         raise FitError(f"{n_equation} real equations cannot determine {n} parameters", hint=hint)
-    _check_noise(rotor, noise)
+    likelihood.check([(rotor.channels, rotor.covariance)], noise, "")
     problem = MagnetLikelihood(rotor, model)
     try:
         best = minimise(problem, start(problem), NEAR, MOST_STEPS)
     except np.linalg.LinAlgError:
         hint = "leave out lines without noise"
         raise FitError("the covariance of the channels is singular on a line", hint=hint) from None
-    jacobian = problem.jacobian(best.values)
-    dof = n_equation - n
-    squares, state = 2 * problem.chi2(best.values), problem.at(best.values)
-    errors = errors_by_given(problem, best.values, given)
-    uncertainties = given_uncertainties(
-        [(uncertainty, error[None]) for uncertainty, error in errors], response_of(state.whiten, jacobian)
-    )
-    if errors:
-        changes = likelihood.real_rows(np.stack([state.whiten(error).reshape(-1) for _, error in errors]))
-        squares -= likelihood.stated_pulls(changes, problem.residual(best.values), jacobian, noise).explained
-    squares /= noise.excess
-    information = likelihood.inverse_information(jacobian)
-    return MagnetEstimate(
-        model=model,
-        values=best.values,
-        covariance=noise.inflation * information,
-        squares=squares,
-        dof=dof,
-        p_value=noise.p_value(squares, dof),
-        converged=best.converged,
-        steps=best.steps,
-        design=triangle_of(jacobian),
-        uncertainties=uncertainties,
-        amplification=problem.size * np.sqrt(2 * np.diag(information)),
-    )
-
-
-def _check_noise(rotor: Levitation, noise: likelihood.Noise) -> None:
-    variance = np.einsum("lrcc->lrc", rotor.covariance).real
-    if np.sum(variance) <= NOISE_FREE * np.sum(np.abs(rotor.channels) ** 2):
-        hint = "measure several periods or blocks"
-        raise FitError("the noise of the channels is not known, so ml cannot weigh them", hint=hint)
-    noise.check_dof()
+    state, errors = problem.at(best.values), errors_by_given(problem, best.values, given)
+    changes = state.whiten(np.stack([error for _, error in errors])) if errors else None
+    minimum, _ = likelihood.minimum_of(problem, best, noise, n_equation - n, changes)
+    respond = response_of(state.whiten, problem.jacobian(best.values))
+    uncertainties = given_uncertainties([(number, error[None]) for number, error in errors], respond)
+    amplification = problem.size * np.sqrt(2 * np.diag(minimum[1]) / noise.inflation)
+    return MagnetEstimate(model, *minimum, uncertainties, amplification)
 
 
 def errors_by_given(
@@ -242,17 +204,10 @@ def errors_by_given(
     axes = smoothed @ rotor.to_axes.T
     rows = model.rows(values, rotor.omega)
     errors = []
-    for uncertainty, change in given:
+    for number, change in given:
         changed = model.rows(values, rotor.omega, model.mass + change) - rows
-        errors.append((uncertainty, (changed[:, None] @ axes[..., None])[..., 0]))
-    to_balance, w = (rows @ rotor.to_axes)[:, None], rotor.omega[:, None, None]
-    for factor in rotor.spectra.factors:
-        error = w**factor.power * (to_balance @ (smoothed @ factor.derivative.T)[..., None])[..., 0]
-        if factor.std_error > 0 and np.any(error):
-            errors.append(
-                (Uncertainty(factor.source, factor.std_error, factor.unit), factor.std_error * error)
-            )
-    return join(errors)
+        errors.append((number, (changed[:, None] @ axes[..., None])[..., 0]))
+    return join([*errors, *factor_errors(rotor.spectra, rotor.omega, rows @ rotor.to_axes, smoothed)])
 
 
 class LateLikelihood(MagnetLikelihood):
@@ -311,11 +266,8 @@ def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
     except np.linalg.LinAlgError:
         return []
     grids.sort(key=lambda grid: grid[0])
-    explained = [
-        fitted
-        for _, start_at, problem, name in grids[:LIKELIEST]
-        if (fitted := _late(problem, start_at, best, name))
-    ]
+    tried_late = (_late(problem, start_at, best, name) for _, start_at, problem, name in grids[:LIKELIEST])
+    explained = [fitted for fitted in tried_late if fitted is not None]
     return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
 
 
@@ -334,7 +286,7 @@ def _late(
     problem: LateLikelihood, start_at: FloatArray, best: MagnetEstimate, name: str
 ) -> tuple[float, Finding] | None:
     """Chi-square with the delay, and the finding; None where it explains too little."""
-    model, noise = problem.model, noise_of(problem.rotor)
+    model, noise = problem.model, problem.rotor.noise
     try:
         minimum = minimise(problem, start_at, NEAR, MOST_STEPS)
         covariance = noise.inflation * likelihood.inverse_information(problem.jacobian(minimum.values))

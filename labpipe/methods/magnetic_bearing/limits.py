@@ -66,13 +66,23 @@ class CertificateSettings(Settings):
         if not 0.5 < self.confidence < 1:
             raise SettingError("confidence", "'confidence' must lie between 50 and 100 %")
         self.require_positive("log_decrement", "rate")
-        signals = [name for name in (*self.after, self.output, self.displacement, self.current) if name]
+        signals = self.recorded[len(self.before) :]
         for name in signals:
             if signals.count(name) > 1:
                 raise ConfigError(f"'{name}' is named for two signals", hint="one response for each")
         if self.before and len(self.before) != len(self.after):
             what = f"{len(self.before)} points ahead of a sum and {len(self.after)} behind"
             raise SettingError("before", what, "one per loop")
+        if self.filtered and not (self.current or self.displacement):
+            raise SettingError(
+                "filtered", "'filtered' is of a current or displacement", "name them, or leave it out"
+            )
+
+    def check_written(self, able: Sequence[str], why: str, hint: str) -> None:
+        """ConfigError for an entry that is none of those that *able* take effect."""
+        for name in self.written:
+            if name not in able:
+                raise SettingError(name, f"'{name}' changes nothing: {why}", hint)
 
     @property
     def least_decrement(self) -> float:
@@ -81,9 +91,7 @@ class CertificateSettings(Settings):
 
     @property
     def recorded(self) -> tuple[str, ...]:
-        return tuple(
-            name for name in (*self.before, *self.after, self.output, self.displacement, self.current) if name
-        )
+        return tuple(filter(None, (*self.before, *self.after, self.output, self.displacement, self.current)))
 
 
 KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
@@ -111,13 +119,9 @@ def below(value: float, error: float, limit: float) -> float:
 
 
 def words(probability: float) -> str:
-    return (
-        "over 99.9 %"
-        if probability > 0.999
-        else "under 0.1 %"
-        if probability < 0.001
-        else f"{100 * probability:.3g} %"
-    )
+    if probability > 0.999:
+        return "over 99.9 %"
+    return "under 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
@@ -151,22 +155,31 @@ RATIO, DECREMENT = "zeta", "log_decrement"
 
 def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Comparison:
     """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
-    ratios. Equation (comp-decrement).
+    ratios, and for what is of a loop. Equation (comp-decrement).
     """
-    certificate_settings: CertificateSettings = settings.kind_settings
-    several = len(fits) > 1
-    amounts = [amount for fit in fits for amount in _decrements(fit, several)]
-    if not amounts:
-        hint = "a fit of model modal, decay, or sdof"
-        raise ConfigError(f"fit '{settings.fit}' has no damping ratio", hint=hint)
-    limits = [
-        _limit(
-            certificate_settings,
-            amounts,
-            "; ".join(filter(None, (_why_undecided(fit, several) for fit in fits))),
-        )
+    acceptance: CertificateSettings = settings.kind_settings
+    why, hint = f"the fit '{settings.fit}' is judged by its decrements", "leave it out, or `fit`"
+    acceptance.check_written(("test", "log_decrement", "confidence"), why, hint)
+    for key in settings.written:
+        if key not in ("kind", "fit"):
+            raise SettingError(key, f"'{key}' changes nothing: {why}", hint)
+    if acceptance.test:
+        fits = [fit for fit in fits if fit.test == acceptance.test]
+    # Bands of one test are told apart by their number.
+    of_test = [fit.test for fit in fits]
+    ends = [
+        ("" if len(set(of_test)) < 2 or not fit.test else f"_{fit.test}")
+        + (f"_band{1 + of_test[:n].count(fit.test)}" if of_test.count(fit.test) > 1 else "")
+        for n, fit in enumerate(fits)
     ]
-    verdict = verdict_of(limits, certificate_settings.confidence)
+    amounts = [amount for fit, end in zip(fits, ends, strict=True) for amount in _decrements(fit, end)]
+    if not amounts:
+        of = f" in test '{acceptance.test}'" if acceptance.test else ""
+        hint = "a fit of model modal, decay, or sdof"
+        raise ConfigError(f"fit '{settings.fit}' has no damping ratio{of}", hint=hint)
+    reasons = (_why_undecided(fit, end) for fit, end in zip(fits, ends, strict=True))
+    limits = [_limit(acceptance, amounts, "; ".join(filter(None, reasons)))]
+    verdict = verdict_of(limits, acceptance.confidence)
     return Comparison(
         name=settings.name,
         kind="certificate",
@@ -184,31 +197,24 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
 REJECTING = ("feedback", "no-convergence", "model-mismatch")
 
 
-def _why_undecided(fit: Fit, several: bool) -> str:
-    of_test = f" of test '{fit.test}'" if several and fit.test else ""
-    codes = list(
-        dict.fromkeys(
-            finding.code for finding in of_level(WARNING, fit.findings) if finding.code in REJECTING
-        )
-    )
+def _why_undecided(fit: Fit, end: str) -> str:
+    of_test = f" of test '{fit.test}'" if end and fit.test else ""
+    warnings = of_level(WARNING, fit.findings)
+    codes = dict.fromkeys(finding.code for finding in warnings if finding.code in REJECTING)
     if codes or not fit.converged:
         return f"the fit{of_test} is rejected ({', '.join(codes) or 'no-convergence'})"
-    plain = [
-        amount.name
-        for amount in _decrements(fit, several)
-        if amount.full_error is None and np.isfinite(amount.value)
-    ]
-    return f"{', '.join(plain)} has no standard error" if plain else ""
+    there = [amount for amount in _decrements(fit, end) if np.isfinite(amount.value)]
+    plain = ", ".join(amount.name for amount in there if amount.full_error is None)
+    return f"{plain} has no standard error" if plain else ""
 
 
-def _decrements(fit: Fit, several: bool) -> list[Parameter]:
+def _decrements(fit: Fit, end: str) -> list[Parameter]:
     """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, or the fit's own decrements."""
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
     decrements = given or [
         _of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO
     ]
-    suffix = f"_{fit.test}" if several and fit.test else ""
-    return [replace(parameter, name=parameter.name + suffix) for parameter in decrements]
+    return [replace(parameter, name=parameter.name + end) for parameter in decrements]
 
 
 def _of_ratio(ratio: Parameter) -> Parameter:
@@ -216,17 +222,17 @@ def _of_ratio(ratio: Parameter) -> Parameter:
     name = DECREMENT + ratio.name.removeprefix(RATIO)
     if not abs(ratio.value) < 1:
         return Parameter(name, float(np.copysign(np.inf, ratio.value)), "1", derived=True)
-    value, slope = (
-        2 * np.pi * ratio.value / np.sqrt(1 - ratio.value**2),
-        2 * np.pi / (1 - ratio.value**2) ** 1.5,
-    )
+    value, slope = _decrement(ratio.value), 2 * np.pi / (1 - ratio.value**2) ** 1.5
     if ratio.full_error is None:
-        return Parameter(name, float(value), "1", derived=True)
-    plain = with_error(name, "1", float(value), float(slope) * ratio.full_error, normal_quantile(0.975))
+        return Parameter(name, value, "1", derived=True)
+    plain = with_error(name, "1", value, float(slope) * ratio.full_error, normal_quantile(0.975))
     if ratio.ci95 is None or max(abs(end) for end in ratio.ci95) >= 1:
         return plain
-    low, high = (float(2 * np.pi * end / np.sqrt(1 - end**2)) for end in ratio.ci95)
-    return replace(plain, ci95=(low, high))
+    return replace(plain, ci95=(_decrement(ratio.ci95[0]), _decrement(ratio.ci95[1])))
+
+
+def _decrement(ratio: float) -> float:
+    return float(2 * np.pi * ratio / np.sqrt(1 - ratio**2))
 
 
 def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
@@ -244,6 +250,8 @@ def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: s
 
 # Powers of ten by which a signal of a wrong unit or sensitivity is off.
 POWERS = (-9, -6, -3, -2, -1, 1, 2, 3, 6, 9)
+# Share of the noise of a signal that is its own below which it is rounding.
+EXACT = 1e-10
 # So many causes that come nearest before a fit are fitted.
 FITTED_CAUSES = 4
 
@@ -257,13 +265,8 @@ def recorded_loop(
     that neither gain nor delay of the recorded excitation counts.
     """
     rate = acceptance.rate or file.loop.rate
-    named = {
-        "after": acceptance.after[0],
-        "output": acceptance.output,
-        "displacement": acceptance.displacement,
-        "current": acceptance.current,
-    }
-    named |= {"before": acceptance.before[0]} if acceptance.before else {}
+    named = {signal: getattr(acceptance, signal) for signal in ("output", "displacement", "current")}
+    named = {"after": acceptance.after[0], **named, "before": "".join(acceptance.before)}
     signals = {
         signal: chosen_ports(response.outputs, (name,), "response")[0]
         for signal, name in named.items()
@@ -274,16 +277,21 @@ def recorded_loop(
         raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint=hint)
     lines = np.ones(response.frequency.size, bool)
     measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
-    if measured.covariance is None:
-        hint = "average several periods or blocks"
-        raise FitError("the noise of the response is not known, so nothing has an interval", hint=hint)
+    # sensitivity_matrix has refused a response without noise.
+    assert measured.covariance is not None
+    size = np.sqrt(np.einsum("lcc->lc", measured.covariance).real)
+    scaled = measured.covariance / np.maximum(size[:, :, None] * size[:, None], np.finfo(float).tiny)
+    exact = np.flatnonzero(np.linalg.eigvalsh(scaled)[:, 0] < EXACT)
+    if exact.size:
+        what = f"the noise at {response.frequency[exact[0]]:g} Hz is that of fewer signals than are named"
+        why = "one has none, or is the sum of others (after = before + excitation of a digital controller)"
+        raise FitError(f"{what}: {why}", hint="leave one out: `after` alone, where the excitation is exact")
     weights = np.linalg.inv(measured.covariance)
 
     def per_added(changed: MagneticFile) -> ComplexArray:
-        signal = open_loop(changed.levitated(), measured.omega, rate, acceptance.filtered).signals(
-            acceptance.injection
-        )
-        return np.stack([signal[name] for name in signals], axis=1)
+        loop = open_loop(changed.levitated(), measured.omega, rate, acceptance.filtered)
+        predicted = loop.signals(acceptance.injection)
+        return np.stack([predicted[name] for name in signals], axis=1)
 
     def along(per: ComplexArray, vectors: ComplexArray) -> ComplexArray:
         """The part of vectors (n_line, n_signal) that some true addition explains, the most likely one."""
@@ -343,25 +351,22 @@ def _changes(
     signals = list(dict.fromkeys(acceptance.recorded))
     excitation = [] if acceptance.before else [response.inputs[0].label]
     for name in (*signals, *excitation):
-        rows = (
-            [chosen_ports(response.outputs, (name,), "response")[0]]
-            if name in signals
-            else list(range(len(response.outputs)))
-        )
         for factor in (-1.0, *(sign * 10.0**power for power in POWERS for sign in (1, -1))):
             # More of the excitation is less of all responses to it.
+            scale = np.full(len(response.outputs), 1 / factor)
+            if name in signals:
+                scale[:] = 1.0
+                scale[chosen_ports(response.outputs, (name,), "response")[0]] = factor
             assert response.covariance is not None
-            scale = np.ones(len(response.outputs))
-            scale[list(rows)] = factor if name in signals else 1 / factor
-            errors = tuple(replace(error, change=error.change * scale[:, None]) for error in response.errors)
-            covariance = response.covariance * np.outer(scale, scale)
-            yield (
-                _words(name, factor),
-                acceptance,
-                replace(
-                    response, matrix=response.matrix * scale[:, None], covariance=covariance, errors=errors
+            changed = replace(
+                response,
+                matrix=response.matrix * scale[:, None],
+                covariance=response.covariance * np.outer(scale, scale),
+                errors=tuple(
+                    replace(error, change=error.change * scale[:, None]) for error in response.errors
                 ),
             )
+            yield _words(name, factor), acceptance, changed
 
 
 def _words(name: str, factor: float) -> str:

@@ -56,23 +56,25 @@ class HeldProblem:
         return self.problem.jacobian(self.whole(values))[:, self.free]
 
     def chi2(self, values: FloatArray) -> float:
-        """Sum of squares [1] at the free parameters (n_free,) [1]. Infinite for values that no bearing can
-        have.
-        """
+        """Sum of squares [1] at the free parameters (n_free,) [1]; infinite for what no bearing can have."""
         return self.problem.chi2(self.whole(values))
+
+    def minimum(self) -> Minimum:
+        """All parameters at the least sum of squares over the free ones."""
+        if not self.free.any():
+            return Minimum(self.u, True, 0)
+        end = minimise(self, self.u[self.free])
+        return replace(end, values=self.whole(end.values))
 
 
 def at_edge(problem: LoopProblem, u: FloatArray) -> BoolArray:
-    """(n_parameter,): the unknowns that would go below zero if a bearing could have that. U (n_parameter,)
-    [1].
-    """
+    """(n_parameter,): the unknowns that would go below zero if a bearing could; u (n_parameter,) [1]."""
     gradient = problem.jacobian(u).T @ problem.residual(u)
-    at_zero = np.zeros(u.size, dtype=bool)
-    for number in range(len(problem.unknowns)):
-        falling = u[number] < ZERO + NEAR and gradient[number] > 0
+    at_zero = (u < ZERO + NEAR) & (gradient > 0) & (np.arange(u.size) < len(problem.unknowns))
+    for number in np.flatnonzero(at_zero):
         below = u.copy()
         below[number] = ZERO - NEAR
-        at_zero[number] = falling and problem.residual_within(below) is None
+        at_zero[number] = problem.residual_within(below) is None
     return at_zero
 
 
@@ -86,12 +88,10 @@ def along_the_edge(problem: LoopProblem, minimum: Minimum) -> Minimum:
     start = np.where(at_zero, ZERO, minimum.values)
     if problem.residual_within(start) is None:
         return minimum
-    along = HeldProblem(problem, start, ~at_zero)
-    end = Minimum(start[~at_zero], True, 0) if at_zero.all() else minimise(along, start[~at_zero])
-    values = along.whole(end.values)
+    end = HeldProblem(problem, start, ~at_zero).minimum()
     # Left to itself an unknown that is held must still want to go below zero.
-    stays = bool(np.all(at_edge(problem, values)[at_zero]))
-    return Minimum(values, end.converged and stays, minimum.steps + end.steps)
+    stays = bool(np.all(at_edge(problem, end.values)[at_zero]))
+    return Minimum(end.values, end.converged and stays, minimum.steps + end.steps)
 
 
 # Condition number of the scaled Jacobian beyond which rounding determines the unknowns.
@@ -149,18 +149,14 @@ class LoopMinimum:
         return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses, without what the
-        sources add.
+        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses alone, whose weights
+        are *inflation* [1] too light.
         """
-        steps = self.steps
-        return np.asarray(inflation * (self.inverse - steps.T @ steps))
+        return np.asarray(inflation * (self.inverse - self.steps.T @ self.steps))
 
     def combined(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by noise, weights *inflation* [1] too light, and by
-        all sources.
-        """
-        steps = self.steps
-        return self.random(inflation) + steps.T @ steps
+        """Covariance (n_parameter, n_parameter) [1] of u by noise and by all sources."""
+        return self.random(inflation) + self.steps.T @ self.steps
 
     def end(self, column: int, distance: float, inflation: float) -> float | None:
         """The share of an unknown, a parameter's number *column*, from which its estimate lies -*distance*
@@ -281,24 +277,17 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
         raise FitError(what, hint="average several periods or blocks")
     unknowns = tuple(unknown(observations[0].file, name) for name in names)
     support = observations[0].support
-    errors = ((0, support.stiffness.std_error), (1, support.damping.std_error))
-    problem = LoopProblem(
-        tuple(observations), unknowns, tuple((which, error) for which, error in errors if error > 0)
-    )
+    errors = enumerate((support.stiffness.std_error, support.damping.std_error))
+    of_support = tuple((which, error) for which, error in errors if error > 0)
+    problem = LoopProblem(tuple(observations), unknowns, of_support)
     start = problem.start
     if not np.isfinite(problem.chi2(start)):
         raise FitError("the loop outgrows all numbers", hint="check negative_stiffness and mass")
-    # An unknown without influence on the response has no gradient.
-    free = np.ones(start.size, bool)
-    if _without_influence(problem, problem.jacobian(start)):
-        free[: len(unknowns)] = False
-    reduced = HeldProblem(problem, start, free)
-    if not free.any():
-        return _loop_fit(problem, Minimum(start, True, 0))
-    if free.all():
+    if start.size and not _without_influence(problem, problem.jacobian(start)):
         return _loop_fit(problem, _settle(problem, along_the_edge(problem, minimise(problem, start))))
-    end = minimise(reduced, start[free])
-    return _loop_fit(problem, replace(end, values=reduced.whole(end.values)))
+    # An unknown without influence on the response has no gradient.
+    free = np.arange(start.size) >= len(unknowns)
+    return _loop_fit(problem, HeldProblem(problem, start, free).minimum())
 
 
 def _settle(problem: LoopProblem, minimum: Minimum) -> Minimum:
@@ -320,56 +309,43 @@ def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str,
 
 
 def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
-    equations = sum(
-        observation.measured.n_equation - observation.nuisance for observation in problem.observations
-    )
+    observations = problem.observations
+    equations = sum(loop.measured.n_equation - loop.nuisance for loop in observations)
     dof = equations - len(problem.unknowns)
-    uncertainty = weight_uncertainty(_weigh(problem.observations[0]), dof)
+    uncertainty = weight_uncertainty(_weigh(observations[0]), dof)
     at_end = LoopMinimum.of(problem, minimum.values)
     reduced = at_end.chi2(uncertainty.excess) / dof
-    lines = sum(observation.measured.omega.size for observation in problem.observations)
     # By the responses themselves: a source that is known better from elsewhere hides no unknown.
-    identifiable = (
-        _identifiable(problem, at_end.jacobian[:, : problem.n_shared]) if problem.unknowns else (1.0, ())
-    )
+    condition, alike = _identifiable(problem, at_end.jacobian[:, : problem.n_shared])
+    shares = list(zip(problem.unknowns, minimum.values, strict=False))
     whole = LoopFit(
-        parameters=(
-            tuple(
-                Parameter(entry.name, float(entry.value * (1 + minimum.values[number])), entry.unit)
-                for number, entry in enumerate(problem.unknowns)
-            )
+        parameters=tuple(
+            Parameter(entry.name, float(entry.value * (1 + share)), entry.unit) for entry, share in shares
         ),
         correlations=(),
         chi2_reduced=reduced,
         chi2_p=uncertainty.p_value(reduced, dof),
-        lines=lines,
-        condition_number=identifiable[0],
-        alike=identifiable[1],
+        lines=sum(loop.measured.omega.size for loop in observations),
+        condition_number=condition,
+        alike=alike,
         converged=minimum.converged,
-        at_zero=tuple(
-            entry.name
-            for entry, share in zip(problem.unknowns, minimum.values, strict=False)
-            if share == ZERO
-        ),
+        at_zero=tuple(entry.name for entry, share in shares if share == ZERO),
     )
     if not whole.at_zero:
         # An unknown that is held pulls at all numbers beside it.
         whole = replace(whole, contradicted=tuple(stated_findings(problem.sources, at_end.pulls, {})))
+    if not whole.usable:
+        return whole
     # What a model does not explain widens the intervals as if all noise were larger.
     misfit = max(reduced, 1.0) if whole.chi2_p < MISMATCH_P else 1.0
-    return (
-        _with_errors(
-            whole, at_end, misfit * uncertainty.inflation, dof, curved=misfit == 1.0 or bool(whole.at_zero)
-        )
-        if whole.usable
-        else whole
-    )
+    curved = misfit == 1.0 or bool(whole.at_zero)
+    return _with_errors(whole, at_end, misfit * uncertainty.inflation, dof, curved=curved)
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
     idle = _without_influence(problem, jacobian)
-    if idle:
-        return float("inf"), idle
+    if idle or not problem.unknowns:
+        return float("inf") if idle else 1.0, idle
     _, singular, turn = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
     condition = float(singular[0] / max(singular[-1], 1e-300))
     return condition, tuple(
@@ -397,23 +373,18 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     changes = steps[:, :n] * values * np.where(pulls.far, pulls.sizes, 1.0)[:, None]
     first = {source.source: source for source in reversed(problem.sources)}
     rows = [changes[[origin.source == name for origin in problem.sources]].sum(axis=0) for name in first]
-    parameters, budget = with_budget(
-        plain, list(first.values()), np.array(rows).reshape(len(first), changes.shape[1]), dof
-    )
+    of_sources = np.array(rows).reshape(len(first), n)
+    parameters, budget = with_budget(plain, list(first.values()), of_sources, dof)
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
-    bent = tuple(
-        (parameter.name, float(size)) for parameter, size in zip(plain, at_end.bent(whole), strict=True)
-    )
+    bent = tuple((p.name, float(size)) for p, size in zip(plain, at_end.bent(whole), strict=True))
     if curved and max(size for _, size in bent) > CURVED:
+        at_zero = bool(fit.at_zero)
         parameters = tuple(
-            _curve(parameter, at_end, number, inflation, limit, bool(fit.at_zero))
+            _curve(parameter, at_end, number, inflation, limit, at_zero)
             for number, parameter in enumerate(parameters)
         )
-    parameters = tuple(
-        replace(parameter, at_bound=True) if parameter.name in fit.at_zero else parameter
-        for parameter in parameters
-    )
+    parameters = tuple(replace(p, at_bound=p.name in fit.at_zero) for p in parameters)
     return replace(
         fit, parameters=parameters, correlations=pairs, covariance=covariance, budget=budget, bent=bent
     )
@@ -432,31 +403,23 @@ def _curve(
         # Beyond what a bearing can have no truth gives such data, and the ends meet: no less is stated than
         # to first order.
         reach = factor * (parameter.combined or parameter.full_error or 0.0)
-        low, high = (
-            min(low, parameter.value - reach if parameter.value else 0.0),
-            max(high, parameter.value + reach),
-        )
+        low = min(low, parameter.value - reach if parameter.value else 0.0)
+        high = max(high, parameter.value + reach)
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
 
 
 def _weigh(observation: LoopObservation) -> Measured:
     """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
     taken = observation.nuisance // (2 * observation.measured.omega.size)
-    return (
-        replace(observation.measured, matrix=observation.measured.matrix[:, taken:])
-        if taken
-        else observation.measured
-    )
+    return replace(observation.measured, matrix=observation.measured.matrix[:, taken:])
 
 
 def goodness(fit: LoopFit) -> list[Parameter]:
     """chi-square of all lines with its p-value, and the condition number of the unknowns."""
     amounts = [Parameter("chi2_reduced", fit.chi2_reduced, "1", derived=True), chance("chi2_p", fit.chi2_p)]
-    return (
-        [*amounts, Parameter("condition_number", fit.condition_number, "1", derived=True)]
-        if fit.parameters
-        else amounts
-    )
+    if fit.parameters:
+        amounts.append(Parameter("condition_number", fit.condition_number, "1", derived=True))
+    return amounts
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
@@ -473,12 +436,8 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
         )
         return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
     if not fit.converged:
-        return [
-            Finding(
-                "no-convergence",
-                "the fit of the loop's unknowns did not converge; its values are those of the last step",
-            )
-        ]
+        what = "the fit of the loop's unknowns did not converge; its values are those of the last step"
+        return [Finding("no-convergence", what)]
     findings = []
     if fit.condition_number > COLLINEAR_CONDITION:
         what = (
@@ -486,43 +445,29 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
             f"{COLLINEAR_CONDITION:g})"
         )
         findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
-    return [*findings, *_edge_findings(fit), *_bent_findings(fit), *fit.contradicted]
-
-
-def _edge_findings(fit: LoopFit) -> list[Finding]:
-    if not fit.at_zero:
-        return []
-    names = " and ".join(fit.at_zero)
-    what = f"{names} would fit best below zero, which no bearing has, and is held at zero"
-    return [
-        Finding("at-bound", f"{what}: correct delays and gains of the channels, or state their uncertainties")
-    ]
-
-
-def _bent_findings(fit: LoopFit) -> list[Finding]:
-    names = [name for name, size in fit.bent if size > BENT]
-    if not names:
-        return []
-    largest = max(size for _, size in fit.bent)
-    size = (
-        f"by {100 * largest:.0f} % of the way"
-        if np.isfinite(largest)
-        else ("since such values are none that a bearing can have")
-    )
-    what = (
-        f"two standard errors away from the fitted {' and '.join(names)} first order fails, {size}: "
-        "standard errors, and what the fitted "
-        "loop says, are rough; intervals of the unknowns follow the response as far as it tells their ends"
-    )
-    return [Finding("first-order", what)]
+    if fit.at_zero:
+        names = " and ".join(fit.at_zero)
+        what = f"{names} would fit best below zero, which no bearing has, and is held at zero"
+        cure = "correct delays and gains of the channels, or state their uncertainties"
+        findings.append(Finding("at-bound", f"{what}: {cure}"))
+    bent = " and ".join(name for name, size in fit.bent if size > BENT)
+    if bent:
+        largest = max(size for _, size in fit.bent)
+        far = "since such values are none that a bearing can have"
+        far = f"by {100 * largest:.0f} % of the way" if np.isfinite(largest) else far
+        what = (
+            f"two standard errors away from the fitted {bent} first order fails, {far}: standard errors, and "
+            "what the fitted loop says, are rough; intervals of the unknowns follow the response as far as "
+            "it tells their ends"
+        )
+        findings.append(Finding("first-order", what))
+    return [*findings, *fit.contradicted]
 
 
 def fit_statement(fit: LoopFit) -> str:
+    loop = "loop with its fitted unknowns" if fit.parameters else "loop"
     chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
-    statement = (
-        f"All {fit.lines} lines against the "
-        f"loop{' with its fitted unknowns' if fit.parameters else ''}: {chance_of}."
-    )
+    statement = f"All {fit.lines} lines against the {loop}: {chance_of}."
     if fit.parameters and not fit.determined:
         statement += f" {' and '.join(fit.alike)} cannot be told apart, so none is given."
     return statement

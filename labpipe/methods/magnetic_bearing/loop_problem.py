@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
@@ -75,7 +76,7 @@ def _place(file: MagneticFile, name: str) -> tuple[str, str, str]:
             raise ConfigError(f"estimate: '{name}' is no number of a block", hint=hint)
         return number, entry, _BLOCK_ENTRIES[entry]
     for section, units in ENTRIES.items():
-        if field in units:
+        if field in units and not (section == "" and field == "force_per_current" and file.factor_of_loop):
             return section, field, units[field]
     names = dict.fromkeys([*ALIASES, *(entry for units in ENTRIES.values() for entry in units)])
     raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, names))
@@ -102,25 +103,25 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     return Unknown(name, float(value), unit)
 
 
-def _with_changes(settings: Any, changes: Mapping[str, Any]) -> Any:
-    return replace(settings, **changes) if settings and changes else settings
-
-
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
     """The file with other values of its unknowns; ConfigError for impossible values (a negative gap)."""
     changes: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
         section, field, _ = _place(file, name)
         changes.setdefault(section, {})[field] = value
-    of_file, magnet = changes.get("", {}), changes.get("magnet")
+    of_file, of_loop, of_magnet = (changes.get(section, {}) for section in ("", "loop", "magnet"))
     # An explicit negative stiffness replaces the one inferred from the static stiffness.
     if "negative_stiffness" in of_file:
         of_file["static_stiffness"] = None
+    numbered = enumerate(file.loop.controller, 1)
     blocks = tuple(
-        _with_changes(block, changes.get(str(n), {})) for n, block in enumerate(file.loop.controller, 1)
+        replace(block, **changes[str(number)]) if str(number) in changes else block
+        for number, block in numbered
     )
-    changed = replace(file, loop=replace(file.loop, controller=blocks, **changes.get("loop", {})), **of_file)
-    return changed if magnet is None else replace(changed, magnet=_with_changes(file.magnet, magnet))
+    of_file["loop"] = replace(file.loop, controller=blocks, **of_loop)
+    if file.magnet is not None and of_magnet:
+        of_file["magnet"] = replace(file.magnet, **of_magnet)
+    return replace(file, **of_file)
 
 
 def response_errors(
@@ -149,22 +150,16 @@ def merge(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
     """The errors with those of one source added up."""
     by_source: dict[str, MatrixError] = {}
     for error in errors:
-        before = by_source.get(error.uncertainty.source)
-        by_source[error.uncertainty.source] = (
-            error if before is None else replace(before, change=before.change + error.change)
-        )
+        source = error.uncertainty.source
+        before = by_source.get(source)
+        by_source[source] = error if before is None else replace(before, change=before.change + error.change)
     return tuple(by_source.values())
 
 
 def directions_left_out(ports: Iterable[Port]) -> list[str]:
     """Labels of the ports whose direction has an uncertainty."""
-    return list(
-        dict.fromkeys(
-            port.label
-            for port in ports
-            if any(calibration.effect == "direction" for calibration in port.uncertainties)
-        )
-    )
+    uncertain = (port.label for port in ports if any(c.effect == "direction" for c in port.uncertainties))
+    return list(dict.fromkeys(uncertain))
 
 
 STEP = 1e-5
@@ -208,9 +203,8 @@ class LoopProblem:
     @property
     def size(self) -> float:
         pairs = zip(self.observations, self.weights, strict=True)
-        return float(
-            np.linalg.norm(np.concatenate([whitened(weight, loop.measured.matrix) for loop, weight in pairs]))
-        )
+        rows = [whitened(weight, loop.measured.matrix) for loop, weight in pairs]
+        return float(np.linalg.norm(np.concatenate(rows)))
 
     @cached_property
     def sources(self) -> tuple[Uncertainty, ...]:
@@ -269,16 +263,10 @@ class LoopProblem:
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
-            errors = {
-                error.uncertainty.source: error
-                for error in merge(observation.errors(*self._at(observation, u)))
-            }
-            nothing = np.zeros(observation.measured.n_equation)
-            parts.append(
-                np.array(
-                    [whitened(weight, errors[name].change) if name in errors else nothing for name in others]
-                ).reshape(len(others), nothing.size)
-            )
+            part = np.zeros((len(others), observation.measured.n_equation))
+            for error in merge(observation.errors(*self._at(observation, u))):
+                part[others.index(error.uncertainty.source)] = whitened(weight, error.change)
+            parts.append(part)
         return np.hstack(parts)
 
     def jacobian(self, u: FloatArray) -> FloatArray:
@@ -298,12 +286,11 @@ class LoopProblem:
 
     def _slope(self, u: FloatArray, step: FloatArray) -> FloatArray:
         ahead, behind = (self.residual_within(u + sign * step) for sign in (1.0, -1.0))
-        if ahead is None or behind is None:
-            middle = self.residual(u)
-            return (
-                ahead - middle if ahead is not None else middle - behind if behind is not None else 0 * middle
-            ) / STEP
-        return (ahead - behind) / (2 * STEP)
+        if ahead is not None and behind is not None:
+            return (ahead - behind) / (2 * STEP)
+        middle = self.residual(u)
+        ahead, behind = (middle if side is None else side for side in (ahead, behind))
+        return (ahead - behind) / STEP
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
         """The residual (n_equation,) [1] at u (n_parameter,) [1]. None for values that no bearing can
@@ -375,12 +362,8 @@ def checked_view(view: View) -> View:
 
 def _directions(view: View) -> FloatArray:
     """cos between output and force, (n_output, n_input): all directions are equal and uncoupled."""
-    rows, columns = view.ports
-    outputs, inputs = (
-        [view.response.outputs[row] for row in rows],
-        [view.response.inputs[column] for column in columns],
-    )
-    return np.array([[_cosine(output, force) for force in inputs] for output in outputs])
+    (rows, columns), of = view.ports, view.response
+    return np.array([[_cosine(of.outputs[row], of.inputs[column]) for column in columns] for row in rows])
 
 
 def _cosine(output: Port, force: Port) -> float:
@@ -424,11 +407,8 @@ def view_errors(
     errors = [*matrix_errors(predicted), *_direction_errors(measured, total)]
     mass = mass_uncertainty(view.settings)
     if mass is not None:
-        errors.append(
-            MatrixError(
-                mass, -mass.std_error * _directions(view) * (measured.omega**2)[:, None, None] / total**2
-            )
-        )
+        inertia = mass.std_error * (measured.omega**2)[:, None, None]
+        errors.append(MatrixError(mass, -_directions(view) * inertia / total**2))
     return merge(errors)
 
 
@@ -436,24 +416,19 @@ def _direction_errors(measured: Measured, total: ComplexArray) -> Iterator[Matri
     """What directions too large do to measured less cos(output - force) / *total* (n_line, 1, 1) [N/m]."""
     across = across_ports(measured.outputs)
     for number, port in enumerate(measured.outputs):
-        for error in _uncertainties_of_direction(port):
-            if across is not None and np.any(across[number]):
-                yield MatrixError(
-                    error, error.std_error * turn(measured.matrix, number, across, of_forces=False)
-                )
-            else:
-                yield MatrixError(error, error.std_error * _sines(measured, port) / total)
+        turned: NDArray[Any] = _sines(measured, port) / total
+        if across is not None and np.any(across[number]):
+            turned = turn(measured.matrix, number, across, of_forces=False)
+        yield from _errors_of_direction(port, turned)
     for force in measured.inputs:
-        for error in _uncertainties_of_direction(force):
-            yield MatrixError(error, -error.std_error * _sines(measured, force) / total)
+        yield from _errors_of_direction(force, -_sines(measured, force) / total)
 
 
-def _uncertainties_of_direction(port: Port) -> list[Uncertainty]:
-    return [
-        calibration.uncertainty
-        for calibration in port.uncertainties
-        if calibration.effect == "direction" and port.angle is not None
-    ]
+def _errors_of_direction(port: Port, turned: NDArray[Any]) -> Iterator[MatrixError]:
+    for calibration in port.uncertainties:
+        if calibration.effect == "direction" and port.angle is not None:
+            error = np.asarray(calibration.uncertainty.std_error * turned, np.complex128)
+            yield MatrixError(calibration.uncertainty, error)
 
 
 def _sines(measured: Measured, turned_port: Port) -> FloatArray:
@@ -470,12 +445,9 @@ def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
     """The same fits of the predicted response, on the same lines with the same weights, for comparison with
     the measured fits.
     """
-    frequency = view.response.frequency
-    rows, columns = view.ports
-    matrix = view.response.matrix.copy()
+    frequency, matrix = view.response.frequency, view.response.matrix.copy()
     form = receptance_factor(view.response.form, frequency)[:, None, None]
-    matrix[:, np.array(rows)[:, None], np.array(columns)] = form * receptance(
-        view, file, 2 * np.pi * frequency
-    )
+    part = np.ix_(range(frequency.size), *view.ports)
+    matrix[part] = form * receptance(view, file, 2 * np.pi * frequency)
     plain = replace(view.settings, bootstrap=0, compare=False, eliminate=False)
     return identify(replace(view.response, matrix=matrix), plain, judging=False)

@@ -35,8 +35,8 @@ SURE = 3.0
 TELLING = 4.0
 # Standard errors below that limit at which a loop is told in fewer than one of five thousand tests.
 SELDOM = 3.6
-# How names of margins without a model begin, and of gain margins after that.
-MEASURED, GAIN = "measured_", "gain_margin"
+# How names of margins without a model begin.
+MEASURED = "measured_"
 FINE = 32
 # Places at which L is followed around a crossing of its imaginary part, over its lines but this share at
 # either end.
@@ -77,6 +77,10 @@ class Course:
         rounding = ROUNDING**2 * np.sum(np.abs(plain) ** 2, axis=1)
         return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
 
+    def follow(self, lines: slice) -> bool:
+        """Whether a parabola leaves no more than noise of these lines."""
+        return bool(self.follows(np.array([lines.start]), lines.stop - lines.start)[0])
+
     def smoother(self) -> FloatArray:
         """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
         parabola follows, up to LOCAL.
@@ -96,7 +100,7 @@ class Course:
         """The lines first ... last and as many to either side as a parabola follows, *most* in all."""
         for width in range(most, FEWEST + 1, -2):
             lines = window(first, last, width, self.omega.size)
-            if self.follows(np.array([lines.start]), lines.stop - lines.start)[0]:
+            if self.follow(lines):
                 return lines
         return window(first, last, max(FEWEST, last - first + 1), self.omega.size)
 
@@ -153,13 +157,11 @@ class Smooth:
         pair, places, total = self.values[part], self.omega[part], 0.0
         moved = np.zeros(len(self.changes))
         for direction, change in ((1.0, self.changes[:, part].real), (1.0j, self.changes[:, part].imag)):
-            steps = STEP * np.abs(pair).mean() * direction * np.eye(2)
-            slopes = np.array(
-                [
-                    (margin(pair + step, places) - margin(pair - step, places)) / (2 * abs(step).max())
-                    for step in steps
-                ]
+            size = STEP * np.abs(pair).mean()
+            ends = (
+                margin(pair + sign * size * direction * row, places) for row in np.eye(2) for sign in (1, -1)
             )
+            slopes = np.array(list(ends)).reshape(2, 2) @ np.array([1.0, -1.0]) / (2 * size)
             total += float(slopes @ self.covariance[part, part] @ slopes) / 2
             moved += change @ slopes
         return margin(pair, places), float(np.sqrt(total)), moved
@@ -190,20 +192,16 @@ def measured_margins(
     for near, n in _crossings(course, smooth, lambda values: np.abs(values) - 1):
         for name, margin in (("phase_margin", _phase), ("delay_margin", _delay)):
             candidates.setdefault(name, []).append(near.of(margin, n))
-    units = {"phase_margin": "rad", "delay_margin": "s"}
-    chosen = {
-        name: (max if name == "gain_margin_lower" else min)(margins, key=itemgetter(0))
-        for name, margins in candidates.items()
-    }
-    return [
-        (
-            factor(f"{MEASURED}{name}{suffix}", value, error, quantile)
-            if name.startswith(GAIN)
-            else with_error(f"{MEASURED}{name}{suffix}", units[name], value, error, quantile),
-            moved,
-        )
-        for name, (value, error, moved) in chosen.items()
-    ]
+    units, found = {"phase_margin": "rad", "delay_margin": "s"}, []
+    for name, margins in candidates.items():
+        nearest = max if name == "gain_margin_lower" else min
+        value, error, moved = nearest(margins, key=itemgetter(0))
+        shown = f"{MEASURED}{name}{suffix}"
+        if name in units:
+            found.append((with_error(shown, units[name], value, error, quantile), moved))
+        else:
+            found.append((factor(shown, value, error, quantile), moved))
+    return found
 
 
 def factor(name: str, value: float, error: float, quantile: float) -> Parameter:
@@ -297,8 +295,7 @@ def _widest(course: Course, first: int, last: int) -> slice:
     chosen, width = window(first, last, FEWEST, count), float(max(FEWEST, last - first + 1))
     while width < GROWTH * count:
         lines = window(first, last, round(width) | 1, count)
-        if course.follows(np.array([lines.start]), lines.stop - lines.start)[0]:
-            chosen = lines
+        chosen = lines if course.follow(lines) else chosen
         width *= GROWTH
     return chosen
 
@@ -313,21 +310,21 @@ def _gain(values: ComplexArray, _: FloatArray) -> float:
     return float(-1 / (values[0] + share * (values[1] - values[0])).real)
 
 
-def _crossing(values: ComplexArray) -> float:
-    """Share of the way to the next place where |L| = 1."""
+def _crossing(values: ComplexArray, omega: FloatArray) -> tuple[float, float]:
+    """Phase of -L [rad] and omega [rad/s] where |L| = 1 on the way to the next place."""
     sizes = np.log(np.abs(values))
-    return float(sizes[0] / (sizes[0] - sizes[1]))
+    share = float(sizes[0] / (sizes[0] - sizes[1]))
+    angle = float(np.angle(-(values[0] + share * (values[1] - values[0]))))
+    return angle, float(omega[0] + share * (omega[1] - omega[0]))
 
 
-def _phase(values: ComplexArray, _: FloatArray) -> float:
-    share = _crossing(values)
-    return float(abs(np.angle(-(values[0] + share * (values[1] - values[0])))))
+def _phase(values: ComplexArray, omega: FloatArray) -> float:
+    return abs(_crossing(values, omega)[0])
 
 
 def _delay(values: ComplexArray, omega: FloatArray) -> float:
-    share = _crossing(values)
-    angle = float(np.angle(-(values[0] + share * (values[1] - values[0])))) % (2 * np.pi)
-    return angle / float(omega[0] + share * (omega[1] - omega[0]))
+    angle, at = _crossing(values, omega)
+    return angle % (2 * np.pi) / at
 
 
 @dataclass(frozen=True)
@@ -372,7 +369,7 @@ def _crest_lines(course: Course) -> tuple[slice, bool]:
     chosen, follows, width = window(top, top, FEWEST, count), False, float(FEWEST)
     while width < GROWTH * count:
         lines = window(top, top, round(width) | 1, count)
-        if course.follows(np.array([lines.start]), lines.stop - lines.start)[0]:
+        if course.follow(lines):
             chosen, follows = lines, True
             top = lines.start + int(np.argmax(np.abs(course.at(course.omega[lines], lines, PARABOLA).values)))
         width *= GROWTH
@@ -387,7 +384,7 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     part = slice(top - 1, top + 2)
     at = np.log(near.omega[part])
     step = float(at[1] - at[0])
-    slope, bend = np.array([-0.5, 0.0, 0.5]) / step, np.array([1.0, -2.0, 1.0]) / step**2
+    slope, bend = _differences(step)
     outline, noise, moved = _modulus(of_place, part)
     size, covariance, changes = _modulus(near, part)
     curvature = -float(bend @ outline)
@@ -401,14 +398,18 @@ def _crest(near: Smooth, of_place: Smooth, top: int, follows: bool) -> Crest:
     return Crest((height, error, changes[:, 1]), (place, place * spread, place * shifts))
 
 
+def _differences(step: float) -> tuple[FloatArray, FloatArray]:
+    """First and second derivative (3,) in the middle of three values that lie *step* apart."""
+    return np.array([-0.5, 0.0, 0.5]) / step, np.array([1.0, -2.0, 1.0]) / step**2
+
+
 def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> float:
     """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
     through the same lines, a step of Newton each: what lines far apart leave of the place.
     Equation (comp-peak-truncation).
     """
     places = of_place.omega[top - 1 : top + 2]
-    step = float(np.log(places[1] / places[0]))
-    slope, bend = np.array([-0.5, 0.0, 0.5]) / step, np.array([1.0, -2.0, 1.0]) / step**2
+    slope, bend = _differences(float(np.log(places[1] / places[0])))
     through = _through(places, course.omega[lines], QUARTIC)
     shifts = []
     for values in (course.plain[lines], 1 / course.plain[lines]):

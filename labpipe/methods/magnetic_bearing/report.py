@@ -34,10 +34,8 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
         over_frequency(Axis("weight", "1", logarithmic=True), weights, 2.0),
     )
     confidence = f"{100 * plant.confidence:g} %"
-    caption = (
-        f"{fit_title(fit)}: nominal plant and the band that holds the true one at all lines ({confidence}); "
-        "weight: radius / |G|."
-    )
+    title = fit_title(fit)
+    what = f"{title}: nominal plant and the band that holds the true one at all lines ({confidence})"
     sentence = (
         "For robust control design: the true plant lies within the radius around the nominal one at all "
         f"lines together with {confidence}, the smallest band that covers the measured scatter. `labpipe "
@@ -45,7 +43,9 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
     )
     return [
         Paragraph(sentence, "note"),
-        Figure(stack(panels, 5.0), caption, f"Nominal plant of {fit_title(fit)} with its band"),
+        Figure(
+            stack(panels, 5.0), f"{what}; weight: radius / |G|.", f"Nominal plant of {title} with its band"
+        ),
     ]
 
 

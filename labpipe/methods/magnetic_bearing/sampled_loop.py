@@ -64,15 +64,11 @@ class SampledLoop:
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
-            message = (
-                f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms, so there "
-                "is no recording of it"
-            )
-            raise ConfigError(message, hint="`labpipe bearing` shows the poles of its bearing file")
-        driven = inputs @ self.b.T
-        states = np.stack(
-            [linear_states(self.a, driven[:, direction]) for direction in range(inputs.shape[1])], axis=1
-        )
+            what = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms"
+            hint = "`labpipe bearing` shows the poles of its bearing file"
+            raise ConfigError(f"{what}, so there is no recording of it", hint=hint)
+        directions = (inputs @ self.b.T).swapaxes(0, 1)
+        states = np.stack([linear_states(self.a, driven) for driven in directions], axis=1)
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
@@ -187,6 +183,10 @@ class SampledLaw:
     c: FloatArray
     d: float
 
+    @classmethod
+    def constant(cls, gain: float) -> SampledLaw:
+        return cls(np.empty((0, 0)), np.empty(0), np.empty(0), gain)
+
 
 def sampled_law(
     loop: ControlLoop, rate: float, blocks: Sequence[ControllerBlock], zero: bool = False
@@ -197,9 +197,7 @@ def sampled_law(
     ConfigError for a PID without time constants, blocks at another rate, and more zeros than poles.
     """
     if not blocks:
-        return (
-            SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0) if zero else _sampled_pid(loop, rate)
-        )
+        return SampledLaw.constant(0.0) if zero else _sampled_pid(loop, rate)
     continuous, discrete = in_series(blocks)
     if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
         what = f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz"
@@ -213,19 +211,13 @@ def sampled_law(
     # Where zeros are fewer than poles, scipy puts others at z = 0, which takes as many sampling intervals of
     # delay away: [z^-1] each.
     late = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]] * (len(poles) - len(zeros))
-    law = SampledLaw(np.empty((0, 0)), np.empty(0), np.empty(0), 1.0)
+    law = SampledLaw.constant(1.0)
     for b0, b1, b2, _, a1, a2 in np.vstack([sections, *late]):
-        section = SampledLaw(
-            np.array([[-a1, 1.0], [-a2, 0.0]]),
-            np.array([b1 - a1 * b0, b2 - a2 * b0]),
-            np.array([1.0, 0.0]),
-            float(b0),
-        )
-        n = len(law.a)
+        inward, n = np.array([b1 - a1 * b0, b2 - a2 * b0]), len(law.a)
         a = np.zeros((n + 2, n + 2))
-        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, section.a, np.outer(section.b, law.c)
+        a[:n, :n], a[n:, n:], a[n:, :n] = law.a, [[-a1, 1.0], [-a2, 0.0]], np.outer(inward, law.c)
         law = SampledLaw(
-            a, np.append(law.b, section.b * law.d), np.append(section.d * law.c, section.c), section.d * law.d
+            a, np.append(law.b, inward * law.d), np.append(b0 * law.c, [1.0, 0.0]), float(b0) * law.d
         )
     return law
 
@@ -233,11 +225,8 @@ def sampled_law(
 def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
     if loop.derivative_time <= 0 or loop.lag_time <= 0:
         raise ConfigError("a sampled controller needs derivative_time and lag_time above zero")
-    terms = [
-        tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate),
-        tustin(0.0, loop.lag, loop.lag_time, 1 / rate),
-    ]
-    b0, b1, a1 = np.array(terms).T
+    differentiator = tustin(loop.derivative, 0.0, loop.derivative_time, 1 / rate)
+    b0, b1, a1 = np.array([differentiator, tustin(0.0, loop.lag, loop.lag_time, 1 / rate)]).T
     return SampledLaw(np.diag(-a1), b1 - a1 * b0, np.ones(2), loop.proportional + float(np.sum(b0)))
 
 
@@ -249,11 +238,9 @@ def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
-        message = (
-            f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the "
-            "controller, which it holds"
-        )
-        raise ConfigError(message, hint=f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz")
+        what = f"delay: {1e6 * loop.delay:g} us is shorter than half a sampling interval of the controller"
+        hint = f"at least {5e5 / rate:g} us at {rate / 1e3:g} kHz"
+        raise SettingError("delay", f"{what}, which it holds", hint)
     whole = int(np.floor(intervals + 1e-9))
     motion = _plant(plant, max(intervals - whole, 0.0), 1 / rate)
     # A search for margins asks for the same plant at one frequency after the other.
@@ -288,24 +275,16 @@ def tustin(derivative: float, constant: float, time: float, interval: float) -> 
     Equation (mag-tustin).
     """
     fast = 2 / interval
-    whole = 1 + fast * time
-    return (
-        (constant + fast * derivative) / whole,
-        (constant - fast * derivative) / whole,
-        (1 - fast * time) / whole,
-    )
+    whole, slope = 1 + fast * time, fast * derivative
+    return (constant + slope) / whole, (constant - slope) / whole, (1 - fast * time) / whole
 
 
 def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
     loop, n = plant.loop, 3 if plant.loop.sensor_bandwidth is None else 4
     slope, voltage, force = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     slope[0, 1] = 1.0
-    slope[1, :3] = (
-        -plant.stiffness + plant.bearings * plant.negative_stiffness,
-        -plant.damping,
-        -plant.bearings * loop.force_per_current,
-    )
-    slope[1] /= plant.mass
+    pull, push = plant.bearings * plant.negative_stiffness, plant.bearings * loop.force_per_current
+    slope[1, :3] = np.array([pull - plant.stiffness, -plant.damping, -push]) / plant.mass
     slope[2, 2], voltage[2] = -1 / loop.corners[0], loop.amplifier / loop.corners[0]
     if n == 4:
         slope[3, 0], slope[3, 3] = 1 / loop.corners[1], -1 / loop.corners[1]

@@ -150,17 +150,13 @@ class Peak:
         return float(np.sqrt(self.error**2 + np.sum(self.changes**2)))
 
     def findings(self) -> list[Finding]:
-        what = (
-            f"the largest sensitivity is at the edge of the band, {self.frequency:.4g} Hz; it may be larger "
-            "beyond"
-        )
-        return [Finding("sensitivity-edge", what)] if self.at_edge else []
+        what = f"the largest sensitivity is at the edge of the band, {self.frequency:.4g} Hz"
+        return [Finding("sensitivity-edge", f"{what}; it may be larger beyond")] if self.at_edge else []
 
     def amounts(self, quantile: float, suffix: str = "") -> list[Parameter]:
         named = f"peak_frequency{suffix}"
-        if self.frequency_error is None:
-            place = Parameter(named, self.frequency, "Hz", derived=True)
-        else:
+        place = Parameter(named, self.frequency, "Hz", derived=True)
+        if self.frequency_error is not None:
             place = with_error(named, "Hz", self.frequency, self.frequency_error, quantile)
         return [with_error(f"peak{suffix}", "1", self.value, self.error, quantile), place]
 
@@ -204,21 +200,20 @@ def loop_sensitivity(
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     zone = zone_of(peak.value)
-    theory = (
-        None if file is None else _Theory(file, loop_fit([measured.observation(file)], settings.estimate))
-    )
-    predicted = None if theory is None else theory.size(theory.file, measured.frequency)
+    predicted = None if file is None else _size(file, measured.frequency)
     measured_amounts, budget = _measured_amounts(measured, peak, predicted)
-    amounts, budgets = list(measured_amounts), [budget]
-    if theory is not None and predicted is not None:
+    amounts, budgets, theory = list(measured_amounts), [budget], None
+    if file is not None and predicted is not None:
+        fitted = loop_fit([measured.observation(file)], settings.estimate)
+        theory = file, fitted
         holds = np.abs(measured.size - predicted) <= measured.quantile * measured.combined
         amounts += [
             Parameter("predicted_peak", float(np.max(predicted)), "1", derived=True),
             Parameter("share", float(np.mean(holds)), "1", derived=True),
-            *goodness(theory.fitted),
-            *theory.fitted.parameters,
+            *goodness(fitted),
+            *fitted.parameters,
         ]
-        budgets.append(theory.fitted.budget)
+        budgets.append(fitted.budget)
     return Comparison(
         name=settings.name,
         kind="sensitivity",
@@ -229,26 +224,24 @@ def loop_sensitivity(
         verdict=f"zone {zone}",
         statement=_statement(peak, measured_amounts[0], zone, predicted, theory),
         curves=(_curve(measured, predicted, theory),),
-        correlations=() if theory is None else theory.fitted.correlations,
+        correlations=() if theory is None else theory[1].correlations,
         findings=_findings(peak, zone, theory),
-        budgets=tuple(budget_of_amount for budget_of_amount in budgets if budget_of_amount is not None),
+        budgets=tuple(filter(None, budgets)),
     )
 
 
-@dataclass(frozen=True)
-class _Theory:
-    file: MagneticFile
-    fitted: LoopFit
+# A bearing file and the fit of its unknowns.
+_Theory = tuple[MagneticFile, LoopFit]
 
-    def size(self, file: MagneticFile, frequency: FloatArray) -> FloatArray:
-        return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
+
+def _size(file: MagneticFile, frequency: FloatArray) -> FloatArray:
+    return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
 
 
 def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
     parts = {} if predicted is None else {"theory": predicted}
-    if theory is not None and theory.fitted.usable:
-        fitted = with_unknowns(theory.file, theory.fitted.values())
-        parts["matched"] = theory.size(fitted, measured.frequency)
+    if theory is not None and theory[1].usable:
+        parts["matched"] = _size(with_unknowns(theory[0], theory[1].values()), measured.frequency)
     reach = measured.quantile * measured.combined
     parts |= {"measured": measured.size, "low": measured.size - reach, "high": measured.size + reach}
     return curve_of(measured.response.name, "sensitivity", "1", frequency=measured.frequency, **parts)
@@ -265,17 +258,12 @@ def _measured_amounts(
     amounts, changes = peak.amounts(measured.quantile), [peak.changes, peak.frequency_changes]
     if predicted is not None:
         highest = float(np.max(predicted))
-        amounts.append(
-            with_error("ratio", "1", peak.value / highest, peak.error / highest, measured.quantile)
-        )
+        ratio, error = peak.value / highest, peak.error / highest
+        amounts.append(with_error("ratio", "1", ratio, error, measured.quantile))
         changes.append(peak.changes / highest)
     dof = COMPLEX_PARTS * measured.response.covariance_dof
-    return with_budget(
-        amounts,
-        [error.uncertainty for error in measured.errors],
-        np.array(changes).T,
-        dof if np.isfinite(dof) else None,
-    )
+    sources = [error.uncertainty for error in measured.errors]
+    return with_budget(amounts, sources, np.array(changes).T, dof if np.isfinite(dof) else None)
 
 
 def _statement(
@@ -293,30 +281,28 @@ def _statement(
     peak_text += f". Limits: {', '.join(f'{name} below {end:g}' for name, end in ZONES)}."
     if theory is None or predicted is None:
         return peak_text
-    stability = verdict(theory.file.levitated())
+    (file, fitted), highest = theory, float(np.max(predicted))
+    stability = verdict(file.levitated())
     if stability.unstable:
         return f"{peak_text} The loop of the bearing file is unstable, so it cannot be the recorded one."
-    prediction_text = f" Predicted in this band: {float(np.max(predicted)):.3f}."
-    if stability.peak.value > 1.01 * float(np.max(predicted)):
+    prediction_text = f" Predicted in this band: {highest:.3f}."
+    if stability.peak.value > 1.01 * highest:
         where = f"{stability.peak.value:.3g} at {stability.peak.frequency:.3g} Hz, zone {stability.peak.zone}"
         prediction_text += f" Outside it the prediction reaches {where}, which this recording does not show."
-    return f"{peak_text}{prediction_text} {fit_statement(theory.fitted)}"
+    return f"{peak_text}{prediction_text} {fit_statement(fitted)}"
 
 
 def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, ...]:
     findings = []
     if zone in ("C", "D"):
-        findings.append(
-            Finding(
-                "sensitivity",
-                f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation",
-            )
-        )
+        what = f"the measured sensitivity lies in zone {zone} of ISO 14839-3, not fit for long operation"
+        findings.append(Finding("sensitivity", what))
     findings += peak.findings()
     if theory is not None:
-        predicted = stability_findings(verdict(theory.file.levitated()))
+        file, fitted = theory
+        predicted = stability_findings(verdict(file.levitated()))
         findings += [replace(finding, message=f"prediction: {finding.message}") for finding in predicted]
-        findings += [*identifiability_findings(theory.fitted), note("assumptions", theory.file.assumptions())]
+        findings += [*identifiability_findings(fitted), note("assumptions", file.assumptions())]
     return tuple(findings)
 
 
@@ -379,33 +365,24 @@ def _errors(
 ) -> tuple[MatrixError, ...]:
     """dH (n_line, n_output, n_input) by every source in the channels and their sums."""
     outputs, inputs = places
-    uncertainties = {
-        calibration.uncertainty.source: calibration.uncertainty
-        for channel in spectra.channels
-        for calibration in channel.uncertainties
-    }
-    omega = 2 * np.pi * spectra.frequency
+    stated = (
+        calibration.uncertainty for channel in spectra.channels for calibration in channel.uncertainties
+    )
+    uncertainties = {uncertainty.source: uncertainty for uncertainty in stated}
+    omega = 2 * np.pi * spectra.frequency[:, None, None]
     errors = []
     for factor in spectra.factors:
-        moved = (
-            spectra.vectors @ factor.derivative.T * (factor.std_error * omega**factor.power)[:, None, None]
-        )
+        moved = factor.std_error * omega**factor.power * (spectra.vectors @ factor.derivative.T)
         change = (moved[:, :, outputs].swapaxes(1, 2) - matrix @ moved[:, :, inputs].swapaxes(1, 2)) @ inverse
-        uncertainty = uncertainties.get(
-            factor.source, Uncertainty(factor.source, factor.std_error, factor.unit)
-        )
-        errors.append(MatrixError(uncertainty, change))
+        plain = Uncertainty(factor.source, factor.std_error, factor.unit)
+        errors.append(MatrixError(uncertainties.get(factor.source, plain), change))
     return merge(errors)
 
 
 def _port(spectra: ChannelSpectra, number: int) -> Port:
     channel = spectra.channels[number]
-    factor_sources = {factor.source for factor in spectra.factors}
-    left = tuple(
-        calibration
-        for calibration in channel.uncertainties
-        if calibration.uncertainty.source not in factor_sources
-    )
+    sources = {factor.source for factor in spectra.factors}
+    left = tuple(number for number in channel.uncertainties if number.uncertainty.source not in sources)
     return Port(channel.name, channel.name, channel.dof, channel.angle, left)
 
 
@@ -481,8 +458,10 @@ def sensitivity_matrix(
     themselves, S = H_after. ConfigError where there is not one excitation per loop, FitError without a
     covariance or where both sides are one signal. Equation (mag-sensitivity-matrix).
     """
-    rows = [chosen_ports(response.outputs, (name,), "response")[0] for name in after]
-    ahead = [chosen_ports(response.outputs, (name,), "response")[0] for name in before]
+    rows, ahead = (
+        [chosen_ports(response.outputs, (name,), "response")[0] for name in names]
+        for names in (after, before)
+    )
     n, n_input = len(rows), len(response.inputs)
     if n_input != n:
         hint = "role: input for the excitations alone, one per loop"
@@ -490,14 +469,16 @@ def sensitivity_matrix(
     if response.covariance is None:
         hint = "average several periods or blocks"
         raise FitError("the noise of the response is not known, so nothing has an interval", hint=hint)
+    if response.frequency[0] == 0:
+        raise FitError("a loop is not excited at 0 Hz", hint="begin `band` above it, or leave the line out")
     h_after = response.matrix[:, rows]
     unit = np.broadcast_to(np.eye(n), h_after.shape).astype(np.complex128)
     added = h_after - response.matrix[:, ahead] if ahead else unit
-    if np.any(
-        np.linalg.svd(added, compute_uv=False)[:, -1] < SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2))
-    ):
-        hint = "record one ahead of the sum and one behind it"
-        raise FitError("both sides of a sum are the same signal", hint=hint)
+    least = np.linalg.svd(added, compute_uv=False)[:, -1]
+    same = np.flatnonzero(least <= SAME_SIGNAL * np.linalg.norm(h_after, axis=(1, 2)))
+    if same.size:
+        what = f"both sides of a sum are the same signal at {response.frequency[same[0]]:g} Hz"
+        raise FitError(what, hint="record one ahead of the sum and one behind it")
     inverse = np.linalg.inv(added)
     values = h_after @ inverse
     # dS = (dH_after - S (dH_after - dH_before)) added^-1.
@@ -507,6 +488,10 @@ def sensitivity_matrix(
         picked[:, :, ahead] += values
     slopes = np.einsum("lio,lkj->lijok", picked, inverse).reshape(len(values), n * n, -1)
     covariance = slopes @ response.covariance @ slopes.conj().swapaxes(1, 2)
+    silent = np.einsum("lcc->l", covariance).real <= 0
+    if silent.any() and not silent.all():
+        what = f"the line at {response.frequency[np.argmax(silent)]:g} Hz has no noise, unlike the others"
+        raise FitError(what, hint="leave it out (`exclude`), or average several periods or blocks")
     used = list(dict.fromkeys([*rows, *ahead]))
     errors = tuple(
         replace(error, change=picked[:, :, used] @ error.change @ inverse)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import factorial
+from math import comb, factorial
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -56,13 +56,7 @@ def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]
     """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! /
     ((2n)! k! (n-k)!) (s tau)^k. Equation (mag-pade).
     """
-    terms = [
-        factorial(2 * order - k)
-        * factorial(order)
-        / (factorial(2 * order) * factorial(k) * factorial(order - k))
-        * delay**k
-        for k in range(order + 1)
-    ]
+    terms = [delay**k * comb(order, k) / (comb(2 * order, k) * factorial(k)) for k in range(order + 1)]
     return Polynomial([(-1) ** k * term for k, term in enumerate(terms)]), Polynomial(terms)
 
 
@@ -209,11 +203,11 @@ def zone_of(peak: float) -> str:
 
 def sensitivity_peak(plant: Suspended) -> SensitivityPeak:
     """The largest |S_ii| from 0 Hz to 2 kHz (ISO 14839-3) and its zone, of a stable loop only."""
-    frequency = np.concatenate([[0.0], np.geomspace(*SEARCH)])
+    frequency = np.geomspace(*SEARCH)
     if plant.loop.cross is None:
+        frequency = np.concatenate([[0.0], frequency])
         size = np.abs(sensitivity(plant, 2 * np.pi * frequency))
     else:
-        frequency = frequency[1:]
         size = np.max(np.abs(np.einsum("fii->fi", sensitivity_matrix(plant, 2 * np.pi * frequency))), axis=1)
     place = int(np.argmax(size))
     return SensitivityPeak(float(size[place]), float(frequency[place]), zone_of(float(size[place])))
@@ -257,13 +251,7 @@ class OpenLoop:
         s = self.sensitivity
         command = self.controller * s if place == INPUT else s
         motion = self.motion if self.recorded_motion is None else self.recorded_motion
-        sides = {"before": s - 1, "after": s}
-        return {
-            **sides,
-            "output": command,
-            "displacement": motion * command,
-            "current": self.current * command,
-        }
+        return dict(zip(SIGNALS, (s - 1, s, command, motion * command, self.current * command), strict=True))
 
 
 def open_loop(
@@ -273,28 +261,20 @@ def open_loop(
     the hold as delay. *filtered*: current and motion are recorded through a filter against aliasing, not as
     the controller samples them. ConfigError for what cannot be sampled.
     """
-    loop = plant.loop
+    loop, chain = plant.loop, chain_factors(plant.loop, omega)
+    current: ComplexArray = loop.amplifier * chain["delay"] * chain["amplifier"]
+    motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
+    motion = motion * chain.get("sensor", 1.0)
     if rate is None:
-        chain = chain_factors(loop, omega)
-        current: ComplexArray = loop.amplifier * chain["delay"] * chain["amplifier"]
-        motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
         law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
-        return OpenLoop(loop.sensor, law.astype(np.complex128), motion * chain.get("sensor", 1.0), current)
-    motion, current = _sampled_motion(plant, omega, rate)
+        return OpenLoop(loop.sensor, law.astype(np.complex128), motion, current)
     law_at = law_response(_own_law(loop, rate), omega, rate)
+    sampled_motion, sampled_current = _sampled_motion(plant, omega, rate)
     if not filtered:
-        return OpenLoop(loop.sensor, law_at, motion, current)
+        return OpenLoop(loop.sensor, law_at, sampled_motion, sampled_current)
     # The delay holds half an interval for the hold already.
-    delayed = (
-        loop.amplifier
-        * chain_factors(loop, omega)["amplifier"]
-        * np.exp(-1j * omega * loop.delay)
-        * np.sinc(omega / (2 * np.pi * rate))
-    )
-    moved = -loop.force_per_current * delayed / (-plant.mass * omega**2 - plant.negative_stiffness)
-    return OpenLoop(
-        loop.sensor, law_at, motion, delayed, moved * chain_factors(loop, omega).get("sensor", 1.0)
-    )
+    held = np.sinc(omega / (2 * np.pi * rate))
+    return OpenLoop(loop.sensor, law_at, sampled_motion, held * current, held * motion)
 
 
 @lru_cache(maxsize=16)
@@ -329,10 +309,7 @@ def _law_response(a: bytes, b: bytes, c: bytes, d: float, omega: bytes, rate: fl
 
 def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
     motion, whole = sampled_plant(plant, rate)
-    z = np.exp(1j * np.asarray(omega) / rate)
-    late = motion.hold[:, 0] * z[:, None] ** (-whole - 1.0) + motion.hold[:, 1] * z[:, None] ** (
-        -float(whole)
-    )
-    n = motion.step.shape[0]
+    n, z = motion.step.shape[0], np.exp(1j * np.asarray(omega) / rate)
+    late = (motion.hold[:, 0] / z[:, None] + motion.hold[:, 1]) * z[:, None] ** -float(whole)
     states = np.linalg.solve(z[:, None, None] * np.eye(n) - motion.step, late[..., None])[..., 0]
     return states[:, 3 if n == 4 else 0], states[:, 2]

@@ -125,19 +125,14 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
     rate = _rate_of(getattr(system, "dt", None))
     if all(hasattr(system, name) for name in ("num", "den")):
         single = np.isscalar(system.num[0])
-        above, below = (
-            [[part]] if single else [list(row) for row in part] for part in (system.num, system.den)
-        )
-        return [
-            [of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)]
-            for pair in zip(above, below, strict=True)
-        ]
+        above, below = ([[part]] if single else part for part in (system.num, system.den))
+        pairs = zip(above, below, strict=True)
+        return [[of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)] for pair in pairs]
     if all(hasattr(system, name) for name in "ABCD"):
         a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), float)) for name in "ABCD")
-        columns = range(d.shape[1])
+        rows, columns = (range(n) for n in d.shape)
         return [
-            [_element(a, b[:, [column]], c[[row]], d[[row]][:, [column]], rate) for column in columns]
-            for row in range(d.shape[0])
+            [_element(a, b[:, [j]], c[[i]], d[i : i + 1, j : j + 1], rate) for j in columns] for i in rows
         ]
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain")) and not callable(system.zeros):
         zeros, poles = (
@@ -149,11 +144,9 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
 
 
 def _rate_of(interval: Any) -> float | None:
-    if interval is None or (not isinstance(interval, bool) and interval == 0):
-        return None
     if isinstance(interval, bool):
         raise ConfigError("a discrete transfer function has no sampling time", hint="give dt in seconds")
-    return 1 / float(interval)
+    return 1 / float(interval) if interval else None
 
 
 def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: float | None) -> Transfer:
@@ -161,25 +154,22 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
     B, C A B, ... that is none. As many zeros are infinite as parameters vanish before it; ConfigError where
     rounding does not let the others be told.
     """
-    n = len(a)
+    n, alone = len(a), Transfer(gain=float(d[0, 0]), rate=rate)
     if not n:
-        return Transfer(gain=float(d[0, 0]), rate=rate)
+        return alone
     balanced, turn = linalg.matrix_balance(a)
     inward, outward = np.linalg.solve(turn, b), c @ turn
     poles = np.linalg.eigvals(balanced)
     unit, size = float(np.max(np.abs(poles))) or 1.0, float(np.linalg.norm(inward) * np.linalg.norm(outward))
     if size == 0:
-        return Transfer(gain=float(d[0, 0]), rate=rate)
-    scaled, inward, outward = (
-        balanced / unit,
-        inward / np.linalg.norm(inward),
-        outward / np.linalg.norm(outward),
-    )
-    through = d * unit / size
-    markov = [
-        float(through[0, 0]),
-        *(float((outward @ np.linalg.matrix_power(scaled, k) @ inward)[0, 0]) for k in range(n)),
-    ]
+        return alone
+    scaled, inward = balanced / unit, inward / np.linalg.norm(inward)
+    outward, through = outward / np.linalg.norm(outward), d * unit / size
+    powers = (outward @ np.linalg.matrix_power(scaled, k) @ inward for k in range(n))
+    markov = [float(value[0, 0]) for value in (through, *powers)]
+    if not np.any(markov[1:]):
+        # The states that the input moves are none that the output sees.
+        return alone
     first = next(k for k, value in enumerate(markov) if abs(value) > VANISHED * max(map(abs, markov)))
     shift = np.zeros((n + 1, n + 1))
     shift[:n, :n] = np.eye(n)
@@ -190,31 +180,14 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
         -np.abs(below) / np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny)
     )[: n - first]
     zeros = unit * above[nearest] / below[nearest]
-    transfer = Transfer(
-        tuple(map(complex, zeros)),
-        tuple(map(complex, poles)),
-        markov[first] * size * unit ** (first - 1),
-        rate,
-    )
-    return _confirm(transfer, (a, b, c, d), unit)
-
-
-def _confirm(
-    fitted: Transfer, system: tuple[FloatArray, FloatArray, FloatArray, FloatArray], unit: float
-) -> Transfer:
-    a, b, c, d = system
+    gain = markov[first] * size * unit ** (first - 1)
     for share in (0.01, 0.3, 3.0):
         point = share * unit * (0.3 + 1j)
-        exact = complex((c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d)[0, 0])
-        ours = (
-            fitted.gain
-            * np.prod([point - zero for zero in fitted.zeros])
-            / np.prod([point - pole for pole in fitted.poles])
-        )
-        if abs(ours - exact) > SAME * abs(exact):
+        exact = complex((c @ np.linalg.solve(point * np.eye(n) - a, b) + d)[0, 0])
+        if abs(gain * np.prod(point - zeros) / np.prod(point - poles) - exact) > SAME * abs(exact):
             hint = "give zeros, poles and gain, or filters"
             raise ConfigError("the zeros of a state space cannot be told from rounding", hint=hint)
-    return fitted
+    return Transfer(tuple(map(complex, zeros)), tuple(map(complex, poles)), gain, rate)
 
 
 # Relative distance at which two roots are conjugate.
@@ -238,7 +211,10 @@ def _checked_roots(
     for name, given in (("zeros", zeros), ("poles", poles)):
         roots = np.array(given, np.complex128)
         for root in roots:
-            if np.min(np.abs(roots - root.conjugate())) > CONJUGATE * max(abs(root), 1e-300):
+            same, others = (
+                np.sum(np.abs(roots - other) <= CONJUGATE * abs(root)) for other in (root, root.conjugate())
+            )
+            if same != others:
                 hint = f"write {root.real:g} +- {abs(root.imag):g}j for the pair"
                 raise SettingError(name, f"{name}: {root:g} stands without its conjugate", hint)
     return Transfer(zeros, poles, gain, rate)
@@ -303,6 +279,10 @@ class ControllerBlock(Settings):
         if self.order not in (1, 2):
             hint = "two blocks for more"
             raise SettingError("order", f"order: a low-pass has order 1 or 2, not {self.order}", hint)
+        if self.order == 1 and "damping" in self.written:
+            raise SettingError(
+                "damping", "damping: is for a low-pass of order 2", "order: 2, or leave it out"
+            )
         _ = self.transfer
 
     @property
@@ -343,9 +323,9 @@ def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")
     return {
-        f"{o}{i}": (block_of(elements[row][column]),)
-        for row, o in enumerate("xy")
-        for column, i in enumerate("xy")
+        f"{o}{i}": (block_of(element),)
+        for o, row in zip("xy", elements, strict=True)
+        for i, element in zip("xy", row, strict=True)
     }
 
 
@@ -376,10 +356,8 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
 @lru_cache(maxsize=64)
 def in_series(blocks: tuple[ControllerBlock, ...]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
-    parts = [block.transfer for block in blocks]
-    continuous = Transfer()
-    discrete = Transfer(rate=next((part.rate for part in parts if part.rate is not None), None))
-    for part in parts:
+    continuous, discrete = Transfer(), Transfer(rate=rate_of(blocks))
+    for part in (block.transfer for block in blocks):
         if part.rate is None:
             continuous = continuous.times(part)
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
@@ -36,9 +35,11 @@ class Levitation(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not self.bearings > 0:
-            raise SettingError("bearings", "the rotor hangs in one bearing or more")
-        self.require_positive("corner")
+        self.require_positive("bearings", "corner")
+        others = ("loop",) if self.law == "relaxation" else ("dynamic", "corner")
+        for name in others:
+            if name in self.written:
+                raise SettingError(name, f"'{name}' is not of the law {self.law}", "leave it out")
 
 
 @dataclass(frozen=True)
@@ -113,27 +114,19 @@ def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 
 
-def control_loop(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) = K G(jw) - k_n of one bearing under position control at *omega* [rad/s], (n_line,)
-    [N/m]. Lim et al. (2009), eq. 7 and table 1.
-    """
-    return dynamic_stiffness(levitation.loop, negative_stiffness(levitation), omega)
-
-
 def negative_stiffness(levitation: Levitation) -> float:
     """Pull of the bias field per displacement, k_n = K G(0) - k_0 of one bearing [N/m]."""
     return inferred_negative_stiffness(levitation.loop, levitation.static)
 
 
-LEVITATION_LAWS: dict[str, Callable[[Levitation, FloatArray], ComplexArray]] = {
-    "relaxation": relaxation,
-    "control-loop": control_loop,
-}
-
-
 def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) of all bearings together at *omega* [rad/s], (n_line,) [N/m]."""
-    return levitation.bearings * LEVITATION_LAWS[levitation.law](levitation, omega)
+    """k(w) + j w c(w) of all bearings together at *omega* [rad/s], (n_line,) [N/m]: K G(jw) - k_n of each
+    under position control, Lim et al. (2009), eq. 7 and table 1.
+    """
+    if levitation.law == "relaxation":
+        return levitation.bearings * relaxation(levitation, omega)
+    pull = negative_stiffness(levitation)
+    return levitation.bearings * dynamic_stiffness(levitation.loop, pull, omega)
 
 
 def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:

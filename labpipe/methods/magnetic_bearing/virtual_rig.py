@@ -54,24 +54,16 @@ def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Susp
     whatever gains *loop* has.
     """
     levitation = rig.levitation
-    return Suspended(
-        loop or levitation.loop,
-        negative_stiffness(levitation),
-        rig.rotor_mass,
-        levitation.bearings,
-        rig.pedestal_stiffness,
-        rig.pedestal_damping,
-    )
+    pedestal = rig.pedestal_stiffness, rig.pedestal_damping
+    pull, own = negative_stiffness(levitation), loop or levitation.loop
+    return Suspended(own, pull, rig.rotor_mass, levitation.bearings, *pedestal)
 
 
 def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     """The share of the levitated rotor that one bearing carries."""
     levitation = rig.levitation
-    return Suspended(
-        levitation.loop,
-        negative_stiffness(levitation),
-        (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings,
-    )
+    mass = (rig.rotor_mass - rig.pedestal_mass) / levitation.bearings
+    return Suspended(levitation.loop, negative_stiffness(levitation), mass)
 
 
 def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
@@ -84,9 +76,8 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     length = _length(periods / force.spacing)
     spectrum = np.fft.rfft(force.samples(CONTROL_RATE, 1))
     spectrum[force.lines] /= straight(line_frequencies(force), CONTROL_RATE)
-    force_samples = np.resize(
-        np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing)), length + 1
-    ) * np.cos(np.pi / 4)
+    period = np.fft.irfft(spectrum, round(CONTROL_RATE / force.spacing))
+    force_samples = np.resize(period, length + 1) * np.cos(np.pi / 4)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
@@ -95,10 +86,8 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     columns: list[FloatArray] = [shaker, *signals[:, :2, READING].T]
     # The gain study needs force and motion only.
     for number, dof in enumerate("xy" if name not in GAINS else ""):
-        channels += [
-            Channel(f"i{dof}", "current", "reference", f"i{dof}"),
-            Channel(f"u{dof}", "voltage", "reference", f"u{dof}"),
-        ]
+        for name_of, quantity in ((f"i{dof}", "current"), (f"u{dof}", "voltage")):
+            channels.append(Channel(name_of, quantity, "reference", name_of))
         columns += [signals[:, number, CURRENT], signals[:, number, OUTPUT]]
     omega = line_frequencies(force)
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
@@ -152,11 +141,11 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     t = np.arange(length + 1) / CONTROL_RATE
     speed = low + (high - low) * t / duration
     angle = 2 * np.pi * (low * t + (high - low) * t**2 / (2 * duration))
-    plant = rotor_alone(rig)
+    plant, quarters = rotor_alone(rig), (0.0, np.pi / 2)
     radial_forces = [
-        _unbalance_force(plant.mass, speed, angle, *UNBALANCE[end], quarter)
-        for end in UNBALANCE
-        for quarter in (0.0, np.pi / 2)
+        _unbalance_force(plant.mass, speed, angle, *of_end, quarter)
+        for of_end in UNBALANCE.values()
+        for quarter in quarters
     ]
     force = np.column_stack(radial_forces) + _hover_force(rig, plant, (length + 1, 4), rng)
     radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
@@ -256,18 +245,15 @@ class OneDofRun:
 
 def pedestal(rig: VirtualMagneticRig) -> OneDofRun:
     """The pedestal alone: 1-100 Hz every 0.5 Hz."""
-    force = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE)
-    return OneDofRun(
-        force, Timing(1000.0, 0.5, 3), "y", rig.pedestal_mass, rig.pedestal_stiffness, rig.pedestal_damping
-    )
+    force, timing = design_multisine((1.0, 100.0), 0.5, PEDESTAL_FORCE), Timing(1000.0, 0.5, 3)
+    support = rig.pedestal_stiffness, rig.pedestal_damping
+    return OneDofRun(force, timing, "y", rig.pedestal_mass, *support)
 
 
 def axial(rig: VirtualMagneticRig) -> OneDofRun:
     """The axial direction: 1-50 Hz every 0.5 Hz."""
-    force = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE)
-    return OneDofRun(
-        force, Timing(500.0, 0.5, 1), "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping
-    )
+    force, timing = design_multisine((1.0, 50.0), 0.5, AXIAL_FORCE), Timing(500.0, 0.5, 1)
+    return OneDofRun(force, timing, "z", rig.axial_mass, rig.axial_stiffness, rig.axial_damping)
 
 
 ONE_DOF: dict[str, Callable[[VirtualMagneticRig], OneDofRun]] = {"pedestal": pedestal, "axial": axial}
@@ -314,11 +300,8 @@ def simulate(
     """The named runs, all of `run_names` unless named. The same rig and seed give the same samples, whatever
     other runs are made.
     """
-    by_name = {**RUNS, **_loop_runs(rig)}
-    return tuple(
-        by_name[name](rig, name, virtual_rigs.generator(seed, name))
-        for name in virtual_rigs.chosen_runs(rig, runs)
-    )
+    by_name, names = {**RUNS, **_loop_runs(rig)}, virtual_rigs.chosen_runs(rig, runs)
+    return tuple(by_name[name](rig, name, virtual_rigs.generator(seed, name)) for name in names)
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
@@ -333,7 +316,11 @@ def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
 
 
 def _loop_runs(rig: VirtualMagneticRig) -> dict[str, MakeRun]:
-    return LOOP_RUNS if rig.levitation.law == "control-loop" else {}
+    """Blocks have no proportional gain to be varied."""
+    if rig.levitation.law != "control-loop":
+        return {}
+    fixed = GAINS if rig.levitation.loop.controller else {}
+    return {name: run for name, run in LOOP_RUNS.items() if name not in fixed}
 
 
 def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArray:
@@ -382,16 +369,14 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     clean = clean + linear.free_decay(clean, timing.sample_rate, 70.0, 0.2)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for quarter in (0.0, np.pi / 2):
-        wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)[
-            timing.n_sample :
-        ]
-        displacement = clean + (rig.noise.hover * wander / np.sqrt(np.mean(wander**2)))
+        wander = slow_noise((timing.n_sample * (timing.periods + 1),), timing.sample_rate, rng)
+        wander = wander[timing.n_sample :]
+        displacement = clean + rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
         if rotating:
             t = np.arange(timing.n_sample * timing.periods) / timing.sample_rate
             angle = 2 * np.pi * rig.speed * t - quarter
-            displacement = displacement + (
-                rig.unbalance * (np.cos(angle) + 0.25 * np.cos(2 * angle) + 0.12 * np.cos(4 * angle))
-            )
+            orders = ((1, 1.0), (2, 0.25), (4, 0.12))
+            displacement += rig.unbalance * sum(share * np.cos(order * angle) for order, share in orders)
         samples.append(_noisy(displacement, rig.noise.displacement, rng))
     bearing = mechanics.levitation_stiffness(rig.levitation, omega) / rig.levitation.bearings
     truth: dict[str, Any] = {
@@ -470,23 +455,15 @@ def log_table(recording: Recording) -> virtual_rigs.LoggedTable:
     """A run as the logger stores it: short runs as text, runs under the control loop as whole numbers."""
     if recording.name in LOOP_RUNS:
         return virtual_rigs.whole_numbers(recording)
-    columns = _recorded_columns(recording)
-    if recording.name not in TEXT_RUNS:
-        return virtual_rigs.LoggedTable(
-            {title: column.astype(np.float32) for title, column in columns.items()}
-        )
-    return virtual_rigs.LoggedTable(
-        {"t [s]": np.arange(recording.n_sample) / recording.sample_rate, **columns}, text=True
-    )
-
-
-def _recorded_columns(recording: Recording) -> dict[str, FloatArray]:
     columns = {}
     for number, channel in enumerate(recording.channels):
         unit, per_si = RECORDED[channel.name]
         title = "force" if channel.name == "f" else channel.name
         columns[f"{title} [{unit}]"] = recording.samples[:, number] * per_si
-    return columns
+    if recording.name in TEXT_RUNS:
+        time = np.arange(recording.n_sample) / recording.sample_rate
+        return virtual_rigs.LoggedTable({"t [s]": time, **columns}, text=True)
+    return virtual_rigs.LoggedTable({title: column.astype(np.float32) for title, column in columns.items()})
 
 
 def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> virtual_rigs.Truth:

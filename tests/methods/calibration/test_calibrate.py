@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.errors import ConfigError, DataError, LabpipeError, SettingError
+from labpipe.errors import ConfigError, DataError, FitError, LabpipeError, SettingError
 from labpipe.methods.calibration.section import CalibrationSettings, calibrate, si_name
 from labpipe.quantities import parse_unit
 from labpipe.records.identification import Fit
@@ -109,6 +109,12 @@ def test_a_power_of_the_set_value(tmp_path: Path) -> None:
     )
 
 
+def test_the_power_of_a_quotient_is_that_of_all_of_it(tmp_path: Path) -> None:
+    """A drag over the square of a speed, N s^2 / m^2."""
+    (fit,) = fitted(table(tmp_path, X, 3 * X**2, "v [m/s],u [N]"), x="v [m/s]", y="u [N]", x_power=2)
+    assert parse_unit(fit.parameter("slope").unit) == parse_unit("N.s^2/m^2")
+
+
 def test_one_line_for_each_value_of_a_group(tmp_path: Path) -> None:
     x = np.tile(X, 3)
     group = np.repeat([0.4, 0.5, 0.6], X.size)
@@ -118,6 +124,24 @@ def test_one_line_for_each_value_of_a_group(tmp_path: Path) -> None:
     assert [fit.test for fit in fits] == ["gap 0.0004 m", "gap 0.0005 m", "gap 0.0006 m"] and {
         fit.name for fit in fits
     } == {"probe"}
+
+
+@pytest.mark.parametrize(
+    ("name", "tests"),
+    [("sensor", ["sensor 1", "sensor 2"]), ("e [%]", ["e 1 %", "e 2 %"]), ("p [Pa]", ["p 1 Pa", "p 2 Pa"])],
+)
+def test_the_names_of_groups(tmp_path: Path, name: str, tests: list[str]) -> None:
+    group = np.repeat([1.0, 2.0], X.size)
+    path = table(tmp_path, np.tile(X, 2), np.tile(X, 2), f"x [um],u [V],{name}", group)
+    assert [fit.test for fit in fitted(path, group=name)] == tests
+    close = table(tmp_path, np.tile(X, 2), np.tile(X, 2), f"x [um],u [V],{name}", 1 + 1e-7 * group)
+    assert len({fit.test for fit in fitted(close, group=name)}) == 2
+
+
+def test_a_group_without_a_line_is_named(tmp_path: Path) -> None:
+    x, group = np.concatenate([X, 0 * X]), np.repeat([1.0, 2.0], X.size)
+    with pytest.raises(FitError, match=r"gap 0\.002 m: all points have the same x"):
+        fitted(table(tmp_path, x, x, "x [um],u [V],gap [mm]", group), group="gap [mm]")
 
 
 def test_the_range_in_which_a_slope_holds(tmp_path: Path) -> None:
@@ -173,6 +197,8 @@ def test_a_cell_that_is_no_number_is_named_by_its_row(tmp_path: Path) -> None:
     y[4] = np.nan
     with pytest.raises(DataError, match=r"column 'u \[V\]' has no number in row 5"):
         fitted(table(tmp_path, X, y))
+    with pytest.raises(DataError, match=r"column 'x \[um\]' to the power 1000 has no number in row 2"):
+        fitted(table(tmp_path, 1e9 * X, X), x_power=1000)
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,9 @@ def test_linear_range_over_positions() -> None:
     e = np.array([0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
     assert linear_range(e, 5.8 / (1 + (e / 0.4) ** 4), 0.20) == 0.2
     assert linear_range(e, np.full(7, 5.8), 0.01) == 0.5
+    # On the one side of the centre only the slope holds at 0.3.
+    both = np.array([-0.3, -0.1, 0.0, 0.1, 0.3])
+    assert linear_range(both, np.array([1.0, 1.0, 1.0, 1.0, 3.0]), 0.2) == 0.1
     # Nothing is within a share of a slope of zero but another zero.
     assert linear_range(e + 0.1, np.array([0.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0]), 0.2) == pytest.approx(0.2)
 
@@ -50,6 +53,13 @@ def test_linear_range_of_a_curve_that_bends() -> None:
     y = np.where(x < 5, x, 5 + 2 * (x - 5))
     assert 5.0 < linear_range_of_curve(x, y, 0.2) < 7.0
     assert linear_range_of_curve(x, x, 0.01) == pytest.approx(10.0)
+
+
+def test_the_linear_range_of_values_that_were_set_several_times() -> None:
+    """Three readings of each: a line through those of one value alone would have no slope."""
+    x = np.repeat([0.0, 1.0, 2.0, 3.0, 4.0], 3)
+    assert linear_range_of_curve(x[:9], 2 * x[:9], 0.1) == pytest.approx(2.0)
+    assert linear_range_of_curve(x, np.where(x <= 2, x, 3 * x - 4), 0.1) == pytest.approx(2.0)
 
 
 def test_a_bend_is_found_and_a_straight_line_is_not(rng: np.random.Generator) -> None:
@@ -65,3 +75,5 @@ def test_what_makes_no_line() -> None:
         fit_line(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
     with pytest.raises(FitError, match="same x"):
         fit_line(np.ones(5), np.arange(5.0))
+    with pytest.raises(FitError, match="3 points do not show where a line ends"):
+        linear_range_of_curve(np.arange(3.0), np.array([0.0, 1.0, 5.0]), 0.1)

@@ -402,6 +402,15 @@ def test_what_does_not_fit_is_refused(keys: dict[str, object], error: type[Excep
         fitted(drawn(), **keys)
 
 
+@pytest.mark.parametrize("estimator", ["ml", "ls"])
+def test_a_line_at_rest_is_refused(estimator: str) -> None:
+    """Z_b / w^2 of the baseline is no number at 0 Hz."""
+    spectra = drawn()
+    at_rest = replace(spectra, frequency=np.append(0.0, spectra.frequency[1:]))
+    with pytest.raises(FitError, match="nothing moves at 0 Hz"):
+        fitted(at_rest, estimator=estimator, **GIVEN)
+
+
 def test_one_run_is_not_enough_for_least_squares() -> None:
     with pytest.raises(FitError, match="two runs with independent forces at every line"):
         fitted(drawn(replace(EVEN, excitation="zipper")), estimator="ls", **GIVEN)
@@ -419,6 +428,8 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
         ({"rotor_mass": "0 kg"}, "'rotor_mass' is that of a rotor"),
         ({"rotor_stiffness": 1e6}, "'rotor_stiffness' goes with a rotor's mass"),
         ({"viscosity": 0.03}, "'viscosity' goes with a clearance"),
+        ({"viscosity": 0.03, "clearance": 1e-4, "length": 0.1}, "'viscosity' goes with a diameter"),
+        ({"forms": ()}, "'forms' names none"),
         ({"band_width": "10 Hz"}, "'band_width' goes with form: bands"),
         ({"form": "bands", "band_width": "0 Hz"}, "band_width must be positive"),
         ({"forms": ["kc", "pads"]}, "'pads' cannot be compared"),
@@ -427,6 +438,22 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
 def test_settings_that_contradict_themselves_are_refused(keys: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         DynamicStiffnessSettings(**keys)
+
+
+def test_bands_are_compared_as_any_other_form() -> None:
+    keys = {"form": "bands", "band_width": "20 Hz", "band": (20.0, 60.0)}
+    fit = fitted(drawn(), compare=True, forms=("kc",), **keys, **GIVEN)
+    assert {candidate.name for candidate in fit.candidates} == {"bands", "kc"}
+
+
+def test_the_mass_of_the_fit_has_its_uncertainty() -> None:
+    """As `mass` or as `stator_mass`: the same fit."""
+    keys = {name: number for name, number in GIVEN.items() if name != "stator_mass"}
+    own, plain = (
+        fitted(drawn(), stator_mass="60 kg +- 0.6 kg", **keys),
+        fitted(drawn(), mass="60 kg +- 0.6 kg", **keys),
+    )
+    assert plain.parameters == own.parameters and plain.parameter("m_xx").full_error > 0.5
 
 
 def test_forms_are_compared_where_that_is_asked_for() -> None:

@@ -224,6 +224,12 @@ def test_impossible_rigs_are_refused(change: dict[str, object], message: str) ->
         seal(**change)
 
 
+def test_a_random_force_needs_a_line_in_its_band() -> None:
+    rig = replace(seal(), band=(10.02, 10.05))
+    with pytest.raises(ConfigError, match="no line of a whole recording"):
+        recordings(rig, 1, ["seal-random"])
+
+
 def test_impossible_conditions_are_refused() -> None:
     for settings, message in (
         ({"film": "journal"}, "needs a speed and a load"),
@@ -233,6 +239,14 @@ def test_impossible_conditions_are_refused() -> None:
         (
             {"pad": {"stiffness": 1.0, "damping": 0.0, "frequency": 0.0, "damping_ratio": 0.5}},
             "frequency must be positive",
+        ),
+        (
+            {"pad": {"stiffness": 1.0, "damping": 0.0, "frequency": 9.0, "damping_ratio": -0.5}},
+            "damping_ratio must be positive",
+        ),
+        (
+            {"film": "journal", "speed": 9.0, "load": 9.0, "damping": ((1.0, 0.0), (0.0, 1.0))},
+            "'damping' is that of the rig's journal bearing",
         ),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -195,6 +195,17 @@ def test_the_ratio_of_a_fit_is_over_the_speed_of_its_test() -> None:
     assert ratios[0].ci95[0] < truth < ratios[0].ci95[1] and ratios[0].derived
 
 
+def test_intervals_of_few_lines_are_as_wide_as_those_of_the_coefficients() -> None:
+    """Three lines of one run: t with 4 degrees of freedom, 2.78, where 1.96 stood."""
+    fit = fitted(
+        drawn(replace(EVEN, excitation="zipper")), **GIVEN, form="kc", speed="50 Hz", band=(20.0, 25.0)
+    )
+    damping, ratio = fit.parameter("c_xx"), fit.parameter("whirl_frequency_ratio")
+    assert fit.dof == 4
+    limit = (damping.ci95[1] - damping.ci95[0]) / damping.full_error
+    assert (ratio.ci95[1] - ratio.ci95[0]) / ratio.full_error == pytest.approx(limit, rel=0.1)
+
+
 def test_coefficients_without_dimension() -> None:
     """By hand: k c / W, c c w / W, m c w^2 / W.
 
@@ -220,5 +231,13 @@ def test_coefficients_without_dimension() -> None:
     assert by_condition.parameter("k_xx_dimensionless").value == pytest.approx(
         fit.parameter("k_xx_dimensionless").value
     )
+    against = fitted(
+        drawn(replace(rig, conditions={"speed": "3000 rpm", "load": "-1 kN"})), **GIVEN, clearance=1e-4
+    )
+    one, other = (each.parameter("k_xx_dimensionless") for each in (against, by_condition))
+    assert one.value == pytest.approx(other.value) and one.ci95 == pytest.approx(other.ci95)
+    assert not any("without dimension" in note for note in by_condition.notes)
+    idle = fitted(drawn(), **GIVEN, clearance=1e-4, rotor_mass="90 kg", symmetry="direct")
+    assert sum("no coefficients without dimension" in n or "no onset speed" in n for n in idle.notes) == 2
     with pytest.raises(ConfigError, match=r"conditions\.speed"):
         fitted(drawn(replace(EVEN, conditions={"speed": "fast"})), **GIVEN)

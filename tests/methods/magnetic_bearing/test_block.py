@@ -82,6 +82,26 @@ def test_the_order_and_the_intervals_are_right(order: int) -> None:
     assert all(held[name] >= stats.binom.ppf(0.001, n, 0.95) for name in TRUE[order][0]), held
 
 
+@pytest.mark.parametrize(("low", "delay"), [(300.0, 1e-3), (20.0, 5e-3)])
+def test_a_delay_that_turns_the_phase_of_the_lowest_line(low: float, delay: float) -> None:
+    """-130 deg at 300 Hz: the gain is positive all the same."""
+    s = 2j * np.pi * np.arange(low, 1000.0, 20.0)
+    plain, true = response(1), 2 * np.exp(-s * delay) / (1 + s / (2000 * np.pi))
+    late = replace(plain, frequency=s.imag / (2 * np.pi), matrix=true[:, None, None], covariance=None)
+    fit = fitted(replace(late, covariance=np.full((s.size, 1, 1), 1e-6, complex)), "1")
+    found = {p.name: p.value for p in fit.parameters}
+    assert found == pytest.approx({"gain": 2.0, "delay": delay, "corner_frequency": 1000.0}, rel=1e-5)
+
+
+def test_a_gain_of_the_other_sign_turns_its_correlations() -> None:
+    """A larger gain is a smaller one in size where it is negative."""
+    plain = response(1)
+    one, other = (fitted(replace(plain, matrix=sign * plain.matrix), "1") for sign in (1, -1))
+    signs = np.outer([-1, 1, 1], [-1, 1, 1])
+    np.testing.assert_allclose(np.array(other.correlation), signs * np.array(one.correlation), atol=1e-4)
+    assert abs(one.correlation[0][2]) > 0.3
+
+
 def test_too_low_an_order_is_said() -> None:
     fit = fitted(response(2, 0.01), "1")
     assert "model-mismatch" in [finding.code for finding in fit.findings] and fit.gof.chi2_reduced > 10
@@ -93,6 +113,10 @@ def test_what_does_not_fit_is_refused() -> None:
         fitted(plain, estimator="ls")
     with pytest.raises(FitError, match="noise of the response is not known"):
         fitted(replace(plain, covariance=None))
+    silent = plain.covariance.copy()
+    silent[2] = 0
+    with pytest.raises(FitError, match="the line at 60 Hz has no noise"):
+        fitted(replace(plain, covariance=silent))
     with pytest.raises(FitError, match="3 lines in the band"):
         fitted(plain, band=(15.0, 65.0))
     double = replace(

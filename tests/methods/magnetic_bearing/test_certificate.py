@@ -16,9 +16,10 @@ from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.magnetic_bearing.certificate import _amounts, certificate
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
-from labpipe.methods.magnetic_bearing.loop import margins
+from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.stability import open_loop
+from labpipe.methods.magnetic_bearing.transfer import CrossControl
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Goodness
@@ -111,6 +112,46 @@ def test_without_a_model_the_peak_is_measured(rng: np.random.Generator) -> None:
     assert "log decrement" not in found.statement
 
 
+def test_points_are_named_once_and_a_theory_is_of_one_loop(rng: np.random.Generator) -> None:
+    measured, points = response(rng), {"before": ("before",), "after": ("after",)}
+    own = CertificateSettings(**points)
+    with pytest.raises(ConfigError, match="named in the comparison and in its section"):
+        certificate(CompareSettings(kind="certificate", before="x", kind_settings=own), measured, None)
+    coupled_loop = ControlLoop(controller=[{"form": "gain", "gain": 1.35}], cross=CrossControl())
+    with pytest.raises(ConfigError, match="cross-coupled controller"):
+        certificate(asked(**points, rate=None), measured, replace(FILE, loop=coupled_loop))
+    with pytest.raises(ConfigError, match="'filtered' is of a loop that is sampled"):
+        certificate(asked(**points, rate=None, filtered=True), measured, FILE)
+
+
+def test_lines_that_tell_no_sensitivity_are_refused(rng: np.random.Generator) -> None:
+    """Nothing on both sides, no noise on one of the lines, and a line at 0 Hz, which has no logarithm."""
+    measured = response(rng)
+    nothing, silent, frequency = measured.matrix.copy(), measured.covariance.copy(), FREQUENCY.copy()
+    nothing[3], silent[3], frequency[0] = 0, 0, 0
+    for change, said in (
+        ({"matrix": nothing}, "the same signal at 25 Hz"),
+        ({"covariance": silent}, "the line at 25 Hz has no noise"),
+        ({"frequency": frequency}, "not excited at 0 Hz"),
+    ):
+        with pytest.raises(FitError, match=said):
+            sensitivity_matrix(replace(measured, **change), ("before",), ("after",))
+
+
+def test_signals_that_are_sums_of_others_are_refused(rng: np.random.Generator) -> None:
+    """A controller that adds the excitation itself records after = before + excitation to the last bit."""
+    measured = response(rng)
+    exact, silent = measured.covariance.copy(), measured.covariance.copy()
+    exact[:, 1], exact[:, :, 1] = exact[:, 0], exact[:, :, 0]
+    exact[:, 1, 1] = exact[:, 0, 0]
+    silent[3, 3], silent[3, :, 3] = 0, 0
+    for covariance, at in ((exact, "10 Hz"), (silent, "25 Hz")):
+        with pytest.raises(FitError, match=f"the noise at {at} is that of fewer signals"):
+            certificate(
+                asked(before=("before",), after=("after",)), replace(measured, covariance=covariance), FILE
+            )
+
+
 def test_margins_without_a_model_hold_the_truth() -> None:
     """50 draws at 0.5 % of noise.
 
@@ -179,6 +220,15 @@ def test_decrements_of_a_fit(name: str, zeta: float) -> None:
     assert comparison_blocks(found, ())
     with pytest.raises(ConfigError, match="no damping ratio"):
         compare(settings, Evidence((replace(fit, parameters=()),), (), ()))
+    with pytest.raises(ConfigError, match="'zone' changes nothing: the fit 'modes' is judged"):
+        compare(replace(settings, kind_settings=CertificateSettings(zone="A")), Evidence((fit,), (), ()))
+    with pytest.raises(ConfigError, match="'before' changes nothing"):
+        compare(replace(settings, before="x"), Evidence((fit,), (), ()))
+    several = (replace(fit, test="a", band_hz=(1.0, 2.0)), replace(fit, test="a"), replace(fit, test="b"))
+    names = [amount.name for amount in compare(settings, Evidence(several, (), ())).amounts[:3]]
+    assert names == [f"{amount.name}_{end}" for end in ("a_band1", "a_band2", "b")]
+    one = replace(settings, kind_settings=CertificateSettings(log_decrement=0.1, test="b"))
+    assert compare(one, Evidence(several, (), ())).amounts == found.amounts
 
 
 def test_spectra_of_all_channels_give_the_same_certificate(rng: np.random.Generator) -> None:

@@ -35,6 +35,7 @@ def test_points_one_per_loop_and_limits_that_can_be_kept(entries: dict[str, Any]
         ({"confidence": 1.0}, "confidence"),
         ({"log_decrement": 0.0}, "log_decrement"),
         ({"rate": 0.0}, "rate"),
+        ({"filtered": True}, "filtered"),
     ],
 )
 def test_what_is_refused_names_its_entry(entries: dict[str, Any], field: str) -> None:

@@ -159,8 +159,11 @@ def unmodelled(folder: Path, columns: dict[str, np.ndarray], axis: Axis, certifi
 
 
 def test_a_decrement_that_is_asked_for_needs_a_model(columns, tmp_path: Path, labpipe_without_report) -> None:
-    ended = labpipe_without_report("run", unmodelled(tmp_path, columns, AXIS, ASKED), "-o", tmp_path / "out")
+    plain = unmodelled(tmp_path, columns, AXIS, "{after: u, log_decrement: 0.1}")
+    ended = labpipe_without_report("run", plain, "-o", tmp_path / "out")
     assert ended.code == 1 and "undecided: a decrement needs a model" in ended.out
+    ended = labpipe_without_report("run", unmodelled(tmp_path, columns, AXIS, ASKED), "-o", tmp_path / "out")
+    assert ended.code == 2 and "'displacement' changes nothing: there is no theory" in ended.err
     ended = labpipe_without_report(
         "run", unmodelled(tmp_path, columns, AXIS, "{after: u}"), "-o", tmp_path / "out"
     )

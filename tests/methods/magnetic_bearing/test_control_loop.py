@@ -42,10 +42,6 @@ def half_turns(dynamic_stiffness: np.ndarray) -> float:
     return float(angle[-1] - angle[0]) / np.pi
 
 
-def test_every_law_has_its_function() -> None:
-    assert tuple(mechanics.LEVITATION_LAWS) == LAWS
-
-
 @pytest.mark.parametrize("law", LAWS)
 def test_static_stiffness_is_the_published_one(law: str) -> None:
     at_rest = mechanics.levitation_stiffness(Levitation(law=law), np.array([0.0]))

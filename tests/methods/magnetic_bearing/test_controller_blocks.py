@@ -258,6 +258,15 @@ def test_discrete_and_coupled_systems_are_taken() -> None:
         matrix_of(SimpleNamespace(dt=None))
 
 
+def test_a_state_space_of_two_loops_without_coupling() -> None:
+    """x by y: states that the input moves and the output does not see."""
+    a, unit = np.diag([-100.0, -200.0]), np.eye(2)
+    elements = blocks_of_matrix(SimpleNamespace(A=a, B=unit, C=unit, D=0 * unit))
+    omega = np.array([10.0, 300.0])
+    for name, expected in (("xx", 1 / (1j * omega + 100)), ("xy", 0 * omega), ("yy", 1 / (1j * omega + 200))):
+        np.testing.assert_allclose(elements[name][0].transfer.response(omega), expected, rtol=1e-12)
+
+
 def test_coefficients_of_fast_filters_are_no_rounding() -> None:
     """Fifth order at some kHz: the highest coefficient is 1e-20 of the lowest one, and counts."""
     poles = -2 * np.pi * np.array([1e3, 2e3, 3e3, 4e3, 5e3])
@@ -311,6 +320,14 @@ HEAD = "kind: magnetic-bearing\nmass: 65 g\nfrequency: 50 Hz\nnegative_stiffness
             r"7:39: .*order: is not for the form notch",
         ),
         ("  controller: [{form: roots, zeros: [-10+3j], poles: [-5]}]\n", r"6:30: .*without its conjugate"),
+        (
+            "  controller: [{form: roots, zeros: [-10+3j, -10+3j, -10-3j], poles: [-5, -6, -7]}]\n",
+            r"6:30: .*-10\+3j stands without its conjugate",
+        ),
+        (
+            "  controller: [{form: low-pass, frequency: 1 kHz, damping: 0.3}]\n",
+            r"6:51: .*damping: is for a low-pass of order 2",
+        ),
         ("  controller: [{form: roots, zeros: [ten]}]\n", r"6:30: .*'ten' is no root"),
         ("  controller: [{form: polynomial, numerator: [1], denominator: [0]}]\n", r"6:51: .*is zero"),
         ("  proportional: 2\n  controller: [{form: gain}]\n", r"6:3: loop.proportional: belongs to the PID"),

@@ -258,6 +258,14 @@ def test_the_fit_is_recorded_and_reported() -> None:
     assert any("{sum: {ix: " in note for note in plain.notes)
 
 
+def test_a_force_as_a_channel_has_all_the_uncertainty_of_the_fit() -> None:
+    """Mass +- 5 %: that of noise alone is far less."""
+    fit = fitted(Rotor().spectra(np.random.default_rng(1)), uncertainties=(("mass", Uncertain(4.0, 0.2)),))
+    (note,) = (note for note in fit.notes if "{sum: {ix: " in note)
+    errors = [float(error) for error in re.findall(r"\+- (\S+) N", note)]
+    assert errors == pytest.approx([p.combined for p in fit.parameters], rel=0.05)
+
+
 def channel(name: str, quantity: str, role: str, dof: str) -> Channel:
     return Channel(name, quantity, role, dof)
 
@@ -300,6 +308,7 @@ def test_channels_that_do_not_pair_are_named() -> None:
         ({"mass": ((-4.0,),)}, "mass matrix is that of no rotor"),
         ({"mass": ((0.0,),)}, "mass matrix is that of no rotor"),
         ({"inertia": "0.05 kg.m^2"}, "'inertia' belongs to a rotor on two bearings"),
+        ({"mass": ((4.0,),), "inertia": "0.05 kg.m^2"}, "'inertia' belongs to one mass of a rotor on two"),
         ({"centre": 0.1}, "'centre' belongs to a rotor on two bearings"),
         ({"hold": "20 Hz"}, "lines up to .* Hz are beyond half of `hold`"),
     ],

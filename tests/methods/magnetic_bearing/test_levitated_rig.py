@@ -14,6 +14,7 @@ from scipy import signal
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.levitated_loop import (
     BendingMode,
+    Injection,
     LevitatedNoise,
     LevitatedRig,
     LongRotor,
@@ -192,6 +193,16 @@ def test_what_cannot_float_is_refused() -> None:
         one_axis(sample_rate=3000.0)
     with pytest.raises(ConfigError, match="need both axes"):
         shipped(axes="x")
+    for injection, run, said in (
+        (Injection(duration=0.2, band=(5.01, 5.02)), "random-x", "no line of a whole recording"),
+        (Injection(duration=1e-5), "rest", "holds no sample"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            recordings(replace(one_axis(), injection=injection), 1, [run])
+    with pytest.raises(ConfigError, match="no places"):
+        one_axis(unbalance_place=0.1)
+    with pytest.raises(ConfigError, match="damping_ratio must not be negative"):
+        replace(BENT.bending, damping_ratio=-0.01)
     with pytest.raises(ConfigError, match="disturbance must not be negative"):
         LevitatedNoise(disturbance=-1.0)
     with pytest.raises(ConfigError, match="2 x 2"):

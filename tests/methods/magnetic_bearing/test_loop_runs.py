@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.magnetic_bearing.loop import controller, dynamic_stiffness
+from labpipe.methods.magnetic_bearing.loop import ControlLoop, controller, dynamic_stiffness
 from labpipe.methods.magnetic_bearing.virtual_mechanics import Noise
-from labpipe.methods.magnetic_bearing.virtual_rig import LOOP_RUNS, RUNS, simulate
+from labpipe.methods.magnetic_bearing.virtual_rig import LOOP_RUNS, RUNS, run_names, simulate
 from labpipe.project.simulate import load_virtual_rig
 
 ROOT = Path(__file__).parents[3]
@@ -111,6 +111,12 @@ def test_the_same_seed_gives_the_same_samples_whatever_else_is_made() -> None:
     (alone,) = simulate(RIG, 3, ["loop-injection"])
     again = simulate(RIG, 3, ["run-up", "loop-injection"])[1]
     np.testing.assert_array_equal(alone.recording.samples, again.recording.samples)
+
+
+def test_a_loop_of_blocks_has_no_gain_to_vary() -> None:
+    loop = ControlLoop(controller=[{"form": "gain", "gain": 1.0}])
+    names = run_names(replace(RIG, levitation=replace(RIG.levitation, loop=loop)))
+    assert "loop-0rpm" in names and "gain-1.1" not in names and "gain-1.1" in run_names(RIG)
 
 
 def test_a_rig_without_a_loop_has_no_such_runs() -> None:

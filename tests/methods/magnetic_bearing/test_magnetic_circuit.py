@@ -13,12 +13,10 @@ from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.bearing import (
     MU_0,
     Magnet,
-    MagnetFactors,
     inferred_pole_area,
     magnet_factors,
     magnet_force,
     pole_fluxes,
-    static_stiffness,
 )
 
 # Turns, gap, bias current and coercivity (9.465 kOe) of Lim et al. (2009), section 2; areas and lengths are
@@ -97,15 +95,6 @@ def test_force_of_the_centred_rotor_is_zero() -> None:
     assert magnet_force(MAGNET, 0.0, 0.0) == 0.0
 
 
-def test_printed_static_stiffness_asks_for_an_inferred_negative_stiffness() -> None:
-    """8 V/mm, k_p 1, 1 A/V, 5.8 N/A: 46.4 kN/m before the bias field's pull.
-
-    1694 N/m leaves 44.706 kN/m of pull.
-    """
-    printed = MagnetFactors(5.8, 5.8 * 8000 - 1694, 0.0)
-    assert static_stiffness(printed, 8000.0) == pytest.approx(1694.0, rel=1e-12)
-
-
 def test_inferred_pole_area_gives_both_factors_back() -> None:
     """The permanent magnet's strength is the other free value.
 
@@ -134,3 +123,10 @@ def test_negative_currents_and_missing_bias_are_refused() -> None:
         replace(MAGNET, bias_current=-0.1)
     with pytest.raises(ConfigError, match="without bias flux"):
         replace(MAGNET, bias_current=0.0, coercivity=0.0)
+
+
+def test_a_permanent_magnet_has_strength_and_length() -> None:
+    """Each alone, or the area of a ring without a length, changed nothing."""
+    for entries in ({"coercivity": 9e5}, {"magnet_length": 3e-3}, {"magnet_area": 1e-4}):
+        with pytest.raises(ConfigError, match="magnet_length"):
+            Magnet(turns=100, gap=5e-4, pole_area=1e-4, bias_current=2.0, **entries)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -84,6 +85,14 @@ def test_unstable_loop_is_said_and_has_no_sensitivity() -> None:
     )
 
 
+def test_the_poles_of_a_sampled_loop_are_no_approximation() -> None:
+    """A constant gain in z, and more pull than it gives stiffness."""
+    gain = {"form": "polynomial", "numerator": [1.0, 0.0], "denominator": [1.0, 0.0], "rate": 20e3}
+    loose = replace(FILE, static_stiffness=None, negative_stiffness=3e5, loop=ControlLoop(controller=[gain]))
+    (found,) = MAGNETIC_KIND.coefficients([loose])
+    assert re.fullmatch(r"the loop is unstable: 1 pole grows; at \d+ \+0j rad/s", found.findings[0].message)
+
+
 def test_well_damped_loop_has_no_warning() -> None:
     """Without the bias field's pull, S is s^2 / (s^2 + 2 z w_0 s + w_0^2) but for the lags, below 1 for z = K
     k_d / 2 sqrt(K m) = 0.84.
@@ -107,6 +116,11 @@ def test_verdict_is_kept_over_a_sweep() -> None:
         ({"frequency": 0.0}, "frequency: must be above zero"),
         ({"negative_stiffness": 1e4}, "is given as well"),
         ({"static_stiffness": None}, "negative_stiffness: is missing"),
+        (
+            {"loop": ControlLoop(force_per_current=7.0), "force_per_current": 5.0},
+            "'force_per_current' gives it",
+        ),
+        ({"loop": ControlLoop(force_per_current=7.0), "magnet": MAGNET}, "'magnet' gives it"),
     ],
 )
 def test_what_is_missing_or_said_twice_is_refused(change: dict[str, float | None], said: str) -> None:

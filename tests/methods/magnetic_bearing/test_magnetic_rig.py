@@ -9,6 +9,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
+from labpipe.methods.magnetic_bearing.loop import ControlLoop
 from labpipe.methods.magnetic_bearing.virtual_mechanics import Levitation, Noise, VirtualMagneticRig
 from labpipe.methods.magnetic_bearing.virtual_rig import RUNS, simulate
 from labpipe.spectra.measurement import measure
@@ -107,6 +108,12 @@ def test_same_seed_same_samples_whatever_else_is_made(name: str) -> None:
 def test_unknown_runs_are_named() -> None:
     with pytest.raises(ConfigError, match="is above pedestal_mass"):
         VirtualMagneticRig("virtual-magnetic-rig", pedestal_mass=0.8, rotor_mass=0.8)
+    for own, said in (
+        ({"loop": ControlLoop(proportional=2.0)}, "'loop' is not of the law relaxation"),
+        ({"law": "control-loop", "dynamic": 1e5}, "'dynamic' is not of the law control-loop"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            Levitation(**own)
     with pytest.raises(ConfigError, match="force must not be negative"):
         Noise(force=-0.02)
     with pytest.raises(ConfigError, match="no run 'pedestel'") as caught:
