@@ -163,6 +163,8 @@ def _free_fit(
     otherwise something else is wrong with the model.
     """
     weighted = has_noise(measured)
+    if measured.n_equation <= start.size:
+        return None
     try:
         problem = OutputError(measured, expected(measured, model), fit_weights(measured))
         minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
@@ -361,6 +363,8 @@ def _delay(
 ) -> tuple[float, Finding] | None:
     """chi-square with the delay of a channel, and the finding; None where it explains too little."""
     highest = float(measured.omega[-1])
+    if measured.n_equation <= start.size:
+        return None
     try:
         minimum = minimise(problem, start, most_steps=MOST_STEPS)
         linear = problem.linearised(minimum.values)

@@ -363,6 +363,8 @@ def _description(settings: FitSettings) -> str:
         parts.append(f"{settings.damping} damping")
     if settings.mass == ESTIMATE:
         parts.append("lumped mass estimated" if settings.lumped_mass else "mass estimated")
+    if settings.residuals:
+        parts.append("residual term")
     return ", ".join(parts)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import coverage_factor
-from labpipe.errors import ConfigError
 from labpipe.estimation import statistics
 from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.linear_models import PER_MASS
@@ -27,6 +26,9 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.settings import COEFFICIENT_UNITS, ESTIMATE
 from labpipe.records.uncertain import Budget
 from labpipe.spectra.convert import TRANSMISSIBILITY
+
+# Units of coefficients that equal bearings in parallel share.
+DIVIDED = ("N/m", "N.s/m")
 
 
 @dataclass(frozen=True)
@@ -92,18 +94,19 @@ def correct(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
     The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to
-    all direct coefficients and to all tests. ConfigError for a share below 1. Equation (est-corrected).
+    all direct coefficients and to all tests. Equation (est-corrected).
     """
-    if settings.share < 1:
-        raise ConfigError("share must be at least 1")
-    values = total.values.copy()
-    support = settings.subtract or Support()
-    for kind, amount in (("k", support.stiffness), ("c", support.damping)):
-        direct = np.array([is_direct(name) and name.startswith(kind) for name in total.names])
-        values = values - np.where(direct, amount.value, 0.0)
-    divisor = np.array([float(settings.share) if unit in ("N/m", "N.s/m") else 1.0 for unit in total.units])
+    of_support = np.array([_of_support(name, settings) for name in total.names])
+    divisor = np.array([float(settings.share) if unit in DIVIDED else 1.0 for unit in total.units])
     covariance = total.covariance / np.outer(divisor, divisor)
-    return replace(total, values=values / divisor, covariance=covariance)
+    return replace(total, values=(total.values - of_support) / divisor, covariance=covariance)
+
+
+def _of_support(name: str, settings: FitSettings) -> float:
+    """What of a coefficient is the support's [its unit]: nothing of those that are not direct."""
+    support = settings.subtract or Support()
+    amounts = {"k": support.stiffness.value, "c": support.damping.value}
+    return amounts.get(name[0], 0.0) if is_direct(name) else 0.0
 
 
 def is_corrected(settings: FitSettings) -> bool:
@@ -196,17 +199,22 @@ BandModel = DynamicModel | FactorModel | TransferMode
 STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 
-def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
+def derived_parameters(
+    total: Estimated, every: Estimated, model: BandModel, setup: Setup, dof: int
+) -> list[Parameter]:
     """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of
-    proportional damping, totals where support or share changed the coefficients, and fixed coefficients.
-    Equation (est-resonance).
+    proportional damping, and totals where support or share changed the coefficients.
+
+    *every*: *total* and with it all coefficients that are tied or given. Equation (est-resonance).
     """
     settings = setup.settings
     parameters: list[Parameter] = []
     if settings.kind.one_mode:
-        parameters.extend(_resonance(total, setup, dof))
+        parameters.extend(_resonance(every, setup, dof))
     if isinstance(model, FactorModel) and model.law.viscous:
-        parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
+        parameters.extend(
+            _propagated_all(total, lambda values: _damping_coefficients(model, values, settings), dof)
+        )
     if settings.kind.matrix_modes:
         outputs = tuple(port.dof or port.label for port in setup.outputs)
         inputs = tuple(port.label for port in setup.inputs)
@@ -217,26 +225,27 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
         x, y = total.value("b_x"), total.value("b_y")
         error = propagate(total, {"b_x": -y / (x**2 + y**2), "b_y": x / (x**2 + y**2)})
         parameters.append(statistics.derive("forcing_angle", "rad", float(np.arctan2(y, x)), error, dof))
-    if is_corrected(settings):
-        for name, unit in zip(total.names, total.units, strict=True):
-            if unit in ("N/m", "N.s/m"):
-                value, error = total.value(name), total.std_error(name)
-                parameters.append(statistics.derive(f"{name}_total", unit, value, error, dof))
-    parameters.extend(
-        Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed
-    )
+    given = dict(settings.fixed)
+    for name, unit in zip(every.names, every.units, strict=True):
+        if is_corrected(settings) and unit in DIVIDED and name not in given:
+            value, error = every.value(name), every.std_error(name)
+            parameters.append(statistics.derive(f"{name}_total", unit, value, error, dof))
     return parameters
 
 
-def _damping_coefficients(model: FactorModel, values: FloatArray) -> Quantities:
-    """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient; *values* (n_case, n_parameter)."""
+def _damping_coefficients(model: FactorModel, values: FloatArray, settings: FitSettings) -> Quantities:
+    """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient, less the support's and of one bearing;
+    *values* (n_case, n_parameter).
+    """
     damping = model.whole(values).damping
-    coefficients: Quantities = {}
+    coefficients, totals = Quantities(), Quantities()
     for term in model.terms:
         places = np.argwhere(term.matrices.stiffness != 0)
         if places.size:
-            coefficients[f"c{term.name[1:]}"] = ("N.s/m", damping[:, places[0][0], places[0][1]])
-    return coefficients
+            name, total = f"c{term.name[1:]}", damping[:, places[0][0], places[0][1]]
+            coefficients[name] = ("N.s/m", (total - _of_support(name, settings)) / settings.share)
+            totals[f"{name}_total"] = ("N.s/m", total)
+    return coefficients | totals if is_corrected(settings) else coefficients
 
 
 def _propagated_all(
@@ -269,31 +278,31 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     modal constant 1/m [1/kg].
 
     k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the
-    same. None of it where k and m have different signs or are eliminated.
+    same. None of it where k and m have different signs or are eliminated, and no f_n of given numbers alone.
     """
     stiffness, damping = (
         next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc"
     )
     if not stiffness:
         return []
-    k = total.value(stiffness)
-    given: Any = setup.settings.mass
-    m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(given)
+    given: Any = setup.settings.mass if stiffness == "k" else 1.0
+    k, m = total.value(stiffness), total.value("m") if "m" in total.names else float(given)
+
+    def derived(name: str, unit: str, value: float, slopes: dict[str, float]) -> Parameter:
+        return statistics.derive(name, unit, float(value), propagate(total, slopes), dof)
+
     resonance = []
+    if k * m > 0:
+        w_n = np.sqrt(k / m)
+        f_n = w_n / (2 * np.pi)
+        if {stiffness, "m"} & {*total.names} - {*dict(setup.settings.fixed)}:
+            resonance.append(derived("f_n", "Hz", f_n, {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}))
+        if damping:
+            zeta = total.value(damping) / (2 * m * w_n)
+            slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
+            resonance.append(derived("zeta", "1", zeta, slopes))
     if "m" in total.names and m != 0 and transfer_of(setup):
-        resonance.append(
-            statistics.derive("modal_constant", "1/kg", 1 / m, propagate(total, {"m": -1 / m**2}), dof)
-        )
-    if k * m <= 0:
-        return resonance
-    w_n = np.sqrt(k / m)
-    f_n = w_n / (2 * np.pi)
-    slopes = {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}
-    resonance.insert(0, statistics.derive("f_n", "Hz", float(f_n), propagate(total, slopes), dof))
-    if damping:
-        zeta = total.value(damping) / (2 * m * w_n)
-        slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
-        resonance.insert(1, statistics.derive("zeta", "1", float(zeta), propagate(total, slopes), dof))
+        resonance.append(derived("modal_constant", "1/kg", 1 / m, {"m": -1 / m**2}))
     return resonance
 
 
@@ -320,29 +329,44 @@ def reported_parameters(
 
     Without convergence the values of the last step, without standard errors.
     """
+    settings, vifs = setup.settings, statistics.inflation_factors(estimate.scaled_design)
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
-    dof = int(estimate.student_dof.min())
-    parameters = (
-        *_coefficients(estimate, correct(total, setup.settings), model),
-        *derived_parameters(total, model, setup, dof),
-    )
+    # A law's factors come behind the terms, and have no coefficients tied to them.
+    aliases = [(number, alias) for number, term in enumerate(model.terms) for alias in term.aliases]
+    places = [*range(vifs.size), *(number for number, _ in aliases)]
+    every = _with_given(total, places, [alias for _, alias in aliases], settings.fixed)
+    reported = correct(every, settings)
+    coefficients = []
+    for number, (name, place) in enumerate(zip(reported.names, places, strict=False)):
+        value, error, dof = reported.value(name), reported.std_error(name), int(estimate.student_dof[place])
+        plain = statistics.estimated(name, reported.units[number], value, error, dof, float(vifs[place]))
+        coefficients.append(replace(plain, derived=number >= vifs.size))
+    derived = derived_parameters(total, every, model, setup, int(estimate.student_dof.min()))
+    given = [
+        Parameter(name + end, of.value(name), COEFFICIENT_UNITS[name[0]], derived=True)
+        for of, end in ((reported, ""), (every, "_total"))
+        for name, _ in settings.fixed
+        if not end or (is_corrected(settings) and COEFFICIENT_UNITS[name[0]] in DIVIDED)
+    ]
+    parameters = (*coefficients, *derived, *given)
     return parameters if estimate.converged else without_intervals(parameters)
 
 
-def _coefficients(estimate: statistics.Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
-    """The estimated parameters, followed by those tied to them."""
-    vifs = statistics.inflation_factors(estimate.scaled_design)
-    coefficients = [
-        statistics.estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
-        for name, unit, vif, dof in zip(
-            reported.names, reported.units, vifs, estimate.student_dof, strict=True
-        )
-    ]
-    # The factors of a damping law come after the terms.
-    pairs = zip(coefficients, model.terms, strict=False)
-    return coefficients + [
-        replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases
-    ]
+def _with_given(
+    total: Estimated, places: list[int], tied: list[str], given: tuple[tuple[str, float], ...]
+) -> Estimated:
+    """The estimates at *places* among *total*, those behind it under the names *tied*, then the *given*
+    coefficients, which have no error.
+    """
+    n = len(places)
+    covariance = np.zeros((n + len(given),) * 2)
+    covariance[:n, :n] = total.covariance[np.ix_(places, places)]
+    return Estimated(
+        (*total.names, *tied, *(name for name, _ in given)),
+        (*(total.units[place] for place in places), *(COEFFICIENT_UNITS[name[0]] for name, _ in given)),
+        np.concatenate([total.values[places], [value for _, value in given]]),
+        covariance,
+    )
 
 
 def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -474,11 +498,7 @@ GAIN = "gain"
 
 def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -> Fit:
     """The fit of a *response* with what its numbers take for granted."""
-    try:
-        rows, columns = select_ports(response, settings.input, settings.output)
-    except ConfigError:
-        # Peaks choose their ports one by one.
-        rows, columns = list(range(len(response.outputs))), list(range(len(response.inputs)))
+    rows, columns = select_ports(response, settings.input, settings.output)
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]
     of_base = response.form == TRANSMISSIBILITY
     entries = list(_gains(ports, settings, of_base=of_base))

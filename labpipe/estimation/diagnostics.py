@@ -47,7 +47,7 @@ def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
 
 def motion_notes(measured: Measured) -> tuple[str, ...]:
     """A note where fewer independent motions than outputs are above the noise."""
-    if len(measured.outputs) < 2 or not has_noise(measured):
+    if len(measured.outputs) < 2 or not has_noise(measured) or not np.all(measured.variance):
         return ()
     values, count = independent_motions(measured)
     if count >= values.size:

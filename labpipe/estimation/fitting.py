@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -67,12 +68,15 @@ def identify(
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
     check_kind(settings, _kind_of(measured))
+    if settings.peaks and isinstance(measured, FrequencyResponse):
+        terms = (_diagonal_term(measured, settings, *peaks, judging) for peaks in settings.peaks)
+        return tuple(itertools.chain(*terms))
+    repeated = judging and settings.repeats == "each"
+    if repeated and isinstance(measured, FrequencyResponse):
+        _check_repeats(measured, settings)
     fits = _fits(measured, settings, judging)
     if isinstance(measured, FrequencyResponse):
-        if settings.repeat_groups and measured.repeats is None:
-            what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
-            raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
-        if judging and settings.repeats == "each" and measured.repeats is not None:
+        if repeated and measured.repeats is not None:
             fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             derived.with_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
@@ -81,6 +85,32 @@ def identify(
     if settings.kind.times_mass:
         fits = tuple(with_given_mass(fit, settings) for fit in fits)
     return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
+
+
+def _diagonal_term(
+    response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
+) -> tuple[Fit, ...]:
+    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
+    of_term = replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,))
+    try:
+        fits = identify(response, of_term, judging=judging)
+    except LabpipeError as error:
+        error.what = f"term {dof}: {error.what}"
+        raise
+    return tuple(replace(fit, term=dof) for fit in fits)
+
+
+def _check_repeats(measured: FrequencyResponse, settings: FitSettings) -> None:
+    """SettingError for keys that repeats, or their absence, leave without a meaning."""
+    if measured.repeats is None:
+        if settings.repeat_groups:
+            what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
+            raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
+        return
+    for key in ("bootstrap", "monte_carlo"):
+        if getattr(settings, key):
+            what = f"'{key}' draws the noise of one fit, and each of the {measured.repeats_are} has its own"
+            raise SettingError(key, what, f"{key}: 0, or repeats: pool")
 
 
 def _fits(
@@ -102,13 +132,7 @@ def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
 def fit_linear(
     response: FrequencyResponse, settings: FitSettings, *, judging: bool = True
 ) -> tuple[Fit, ...]:
-    """Fits of a model linear in its parameters: one per band or chosen peak; *judging* as for `identify`."""
-    if settings.peaks:
-        return tuple(
-            fit
-            for dof, bands in settings.peaks
-            for fit in _diagonal_term(response, settings, dof, bands, judging)
-        )
+    """Fits of a model linear in its parameters, one per band; *judging* as for `identify`."""
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
@@ -116,8 +140,8 @@ def fit_linear(
     view, model = form_view(response.form, settings), _model(setup)
     fits, bands = [], _bands(response, settings)
     for band, lines in bands:
-        measured = measured_part(response, rows, columns, lines, view)
         try:
+            measured = measured_part(response, rows, columns, lines, view)
             fit = _fit_band(setup, model, measured, band, len(bands), judging)
         except FitError as error:
             what = f"band {band[0]:g}-{band[1]:g} Hz: {error.what}"
@@ -134,23 +158,8 @@ def fit_linear(
     return tuple(fits)
 
 
-def _diagonal_term(
-    response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
-) -> list[Fit]:
-    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
-    of_term = replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,))
-    try:
-        fits = identify(response, of_term, judging=judging)
-    except LabpipeError as error:
-        error.what = f"term {dof}: {error.what}"
-        raise
-    return [replace(fit, term=dof) for fit in fits]
-
-
 def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
     """Bands of *width* every *step* [Hz] that lie in the whole band: 1-250 Hz by 15/3 Hz gives 79."""
-    if width <= 0 or step <= 0:
-        raise ConfigError("width and step of sliding bands must be positive")
     count = int(np.floor((whole[1] - whole[0] - width) / step + 1e-9)) + 1
     if count < 1:
         raise ConfigError(f"no band of {width:g} Hz fits into {whole[0]:g}-{whole[1]:g} Hz")
@@ -281,7 +290,7 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     # Candidates show whether a damping law is justified.
-    of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
+    of_model = estimator.likelihood and not settings.eliminate
     compared_models, of_comparison = (
         candidates(measured, setup, estimate if of_model else None)
         if settings.compare or settings.damping != VISCOUS

@@ -4,6 +4,7 @@ linear.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -47,18 +48,16 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
             text = str(stated[levels[0]])
-            try:
-                level = si_amount(text)[0]
-            except UnitError:
-                level = float("nan")
-            group = groups.setdefault((levels[0], others, fit.band_hz, fit.term), [])
-            group.append(_Test(fit, text, level))
+            # "full" is no number, and not above or below any.
+            with contextlib.suppress(UnitError):
+                test = _Test(fit, text, si_amount(text)[0])
+                groups.setdefault((levels[0], others, fit.band_hz, fit.term), []).append(test)
     new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 
 
 def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
-    """The finding of the highest level against the lowest; none where levels are no numbers, or one."""
+    """The finding of the highest level against the lowest; none of one level alone."""
     ascending = sorted(tests, key=lambda test: test.level)
     low, high = ascending[0], ascending[-1]
     if not low.level < high.level:

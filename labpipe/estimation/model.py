@@ -183,13 +183,13 @@ class DynamicModel:
 
     def tied(self, names: Sequence[str]) -> DynamicModel:
         """The model with one common value for several parameters, named after the first."""
-        joined = [term for term in self.terms if term.name in names]
-        matrices = joined[0].matrices
-        for term in joined[1:]:
-            matrices = matrices.plus(term.matrices)
-        common = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
-        kept = (term for term in self.terms if term not in joined[1:])
-        return replace(self, terms=tuple(common if term is joined[0] else term for term in kept))
+        first, *others = (term for term in self.terms if term.name in names)
+        common = first
+        for term in others:
+            aliases = (*common.aliases, term.name, *term.aliases)
+            common = replace(common, matrices=common.matrices.plus(term.matrices), aliases=aliases)
+        kept = (term for term in self.terms if term not in others)
+        return replace(self, terms=tuple(common if term is first else term for term in kept))
 
     def whole(self, parameters: FloatArray) -> Matrices:
         """K [N/m], C [N.s/m], M [kg] and B of *parameters* (n_parameter,); cases in leading dimensions."""

@@ -292,6 +292,11 @@ class FitSettings(Settings):
         _refuse(several, "damping", what, "leave it out")
         what = f"'eliminate' cannot be combined with {self.damping} damping"
         _refuse(law and self.eliminate, "eliminate", what, either)
+        of_both = "whose factor is that of bearing and support together"
+        what = f"'subtract' cannot be combined with {self.damping} damping, {of_both}"
+        not_viscous = self.subtract and law and not DAMPINGS.load(self.damping).viscous
+        _refuse(not_viscous, "subtract", what, either)
+        _refuse(self.share < 1, "share", "'share' must be at least 1")
         what = "'scale_mass' needs the mass to be scaled"
         _refuse(self.scale_mass and free_mass, "scale_mass", what, "for example mass: [1 kg, 2 kg]")
         what = "'lumped_mass' is for a mass that is estimated"
@@ -309,7 +314,9 @@ class FitSettings(Settings):
 
     def _check_bands(self) -> None:
         """ConfigError for bands or ports that are set twice."""
-        ports = self.input or self.output
+        sliding, ports = self.sliding, self.input or self.output
+        what = "width and step of sliding bands must be positive"
+        _refuse(sliding and min(sliding.width, sliding.step) <= 0, "sliding", what)
         what = "'bands' goes with neither 'band' nor 'sliding'"
         _refuse(self.bands and (self.band or self.sliding), "bands", what, "name all bands under bands")
         hint = "leave out band, bands, sliding, input and output"

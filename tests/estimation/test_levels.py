@@ -99,6 +99,15 @@ def test_other_bands_and_terms_are_not_compared() -> None:
     assert named([fit("quiet", term="x"), fit("loud", 1.05 * K, term="y")]) == []
 
 
+def test_a_level_that_is_no_number_hides_no_other() -> None:
+    """Of 20 N, "full" and 5 N the two numbers are compared, in whatever order the tests stand."""
+    conditions = {"quiet": {"level": "5 N"}, "most": {"level": "full"}, "loud": {"level": "20 N"}}
+    tests = [fit("loud", 1.05 * K), fit("most", 1.1 * K), fit("quiet")]
+    assert [named([tests[n] for n in order], conditions) for order in ((0, 1, 2), (1, 0, 2), (2, 1, 0))] == [
+        ["loud"]
+    ] * 3
+
+
 def test_without_standard_errors_there_is_nothing_to_compare() -> None:
     unknown = fit("loud", 1.05 * K, parameters=(Parameter("k", 1.05 * K, "N/m"), Parameter("c", C, "N.s/m")))
     assert named([fit("quiet"), unknown]) == []
