@@ -19,7 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.errors import ConfigError
-from labpipe.estimation.derived import BandModel, reported_parameters, with_systematic
+from labpipe.estimation.derived import DIVIDED, BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import SHARE, Measured, across_ports, turn
@@ -205,12 +205,12 @@ def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[
 
     None without an uncertainty of it.
     """
-    number = dict(settings.uncertainties).get("mass")
-    if number is None or settings.mass == ESTIMATE or not number.value:
+    mass = mass_uncertainty(settings)
+    if mass is None or not settings.mass:
         return []
-    relative = number.std_error / number.value
-    times_mass = [p.value if p.unit in ("N/m", "N.s/m") else 0.0 for p in parameters]
-    return [(_of_mass(number), relative * np.array(times_mass))]
+    relative = mass.std_error / dict(settings.uncertainties)["mass"].value
+    times_mass = [p.value if p.unit in DIVIDED else 0.0 for p in parameters]
+    return [(mass, relative * np.array(times_mass))]
 
 
 def mass_uncertainty(settings: FitSettings) -> uncertain.Uncertainty | None:
@@ -218,10 +218,6 @@ def mass_uncertainty(settings: FitSettings) -> uncertain.Uncertainty | None:
     number = dict(settings.uncertainties).get("mass")
     if number is None or settings.mass == ESTIMATE or not number.std_error > 0:
         return None
-    return _of_mass(number)
-
-
-def _of_mass(number: uncertain.Uncertain) -> uncertain.Uncertainty:
     return uncertain.uncertainty_of(number, f"mass {number.value:g} kg", "kg")
 
 
@@ -376,19 +372,13 @@ def _change_by(matrix_error: uncertain.MatrixError) -> Change:
 
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
-    """The setup with an output (*sign* 1) or a force in another direction.
-
-    A port without a direction stays.
-    """
-
-    def other(ports: tuple[Port, ...]) -> tuple[Port, ...]:
-        port = ports[number]
-        angle = None if port.angle is None else port.angle + error
-        return (*ports[:number], replace(port, angle=angle), *ports[number + 1 :])
-
-    if sign > 0:
-        return replace(setup, outputs=other(setup.outputs))
-    return replace(setup, inputs=other(setup.inputs))
+    """The setup with an output (*sign* 1) or a force in another direction; a port without one stays."""
+    side = "outputs" if sign > 0 else "inputs"
+    ports: list[Port] = list(getattr(setup, side))
+    angle = ports[number].angle
+    ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
+    changed: dict[str, Any] = {side: tuple(ports)}
+    return replace(setup, **changed)
 
 
 def _with_settings(case: Case, **changed: Any) -> Case:

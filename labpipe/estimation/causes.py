@@ -1,22 +1,12 @@
 """Causes of a mismatch that the data show: a stated number, a wrong given mass, a late channel, drift within
 the record.
 
-A stated number whose most likely value lies further from what was stated than its uncertainty and that of the
-data allow.
-
-The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good the
-fit.
-
 Near a resonance the curve knows k / m much better than k and m, so that k follows a wrong mass in proportion
 and the goodness of fit hardly changes. The height of the curve under a known force still tells the mass.
 
-A channel that was recorded late, by the delay with which the residual is explained.
-
-Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
-
-To first order a changed parameter changes H by dH/dp, a changed gain by its own row or column of H. The
-change of H is projected on these shapes, whitened with the noise of H, whose own level between all lines is
-the measure of chance: so it does not matter how well the covariance is known.
+Drift is what changed between the two halves of a record. To first order a changed parameter changes H by
+dH/dp, a changed gain by its own row or column of H. The change of H is projected on these shapes, whitened
+with the noise of H, whose own level between all lines is the measure of chance.
 """
 
 from __future__ import annotations
@@ -268,16 +258,17 @@ class DelayedModel:
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H [m/N] with its delay, (n_line, n_output, n_input), at parameters (n_parameter + 1,)."""
-        return self.model.receptance(parameters[:-1], omega) * self._factor(parameters, omega)
+        return self.model.receptance(parameters[:-1], omega) * self.turned(parameters[-1], omega)
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Its derivatives, (n_parameter + 1, n_line, n_output, n_input) [m/N per parameter unit]."""
         slope = np.where(self.late, -1j * omega[:, None, None], 0.0) * self.receptance(parameters, omega)
-        others = self.model.jacobian(parameters[:-1], omega) * self._factor(parameters, omega)
+        others = self.model.jacobian(parameters[:-1], omega) * self.turned(parameters[-1], omega)
         return np.concatenate([others, slope[None]])
 
-    def _factor(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        return np.where(self.late, np.exp(-1j * omega[:, None, None] * parameters[-1]), 1.0)
+    def turned(self, delay: float, omega: FloatArray) -> ComplexArray:
+        """exp(-j w tau) of a *delay* [s] at late elements, else 1, (n_line, n_output, n_input) [1]."""
+        return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
 def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) -> list[Finding]:
@@ -307,14 +298,18 @@ def _best_of_grid(
     """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and where it
     is.
     """
-    highest = float(measured.omega[-1])
+    omega = measured.omega
     delayed = DelayedModel(expected(measured, model), late)
     problem = OutputError(measured, delayed, fit_weights(measured))
     # H without a delay is the same all over the grid.
-    still = OutputError(measured, DelayedModel(_Still(delayed.model, values), late), fit_weights(measured))
-    grid = delays_of_grid(highest)
-    chi2, delay = min((still.chi2(np.append(values, delay)), float(delay)) for delay in grid)
-    return chi2, problem, np.append(values, delay)
+    still = delayed.model.receptance(values, omega)
+
+    def chi2(delay: float) -> float:
+        residual = problem.whitened(measured.matrix - still * delayed.turned(delay, omega))
+        return float(residual @ residual)
+
+    least, delay = min((chi2(delay), float(delay)) for delay in delays_of_grid(float(omega[-1])))
+    return least, problem, np.append(values, delay)
 
 
 def delays_of_grid(highest: float) -> FloatArray:
@@ -325,25 +320,6 @@ def delays_of_grid(highest: float) -> FloatArray:
 def is_late(delay: float, error: float, highest: float) -> bool:
     """Whether a delay [s] with its standard *error* turns the *highest* line [rad/s] enough to be named."""
     return abs(delay) * highest >= LEAST_PHASE and abs(delay) >= SURE_DELAY * error
-
-
-class _Still:
-    """A model whose parameters stay where they are. Satisfies FittedModel."""
-
-    def __init__(self, model: FittedModel, values: FloatArray) -> None:
-        self._model, self._values = model, values
-        self.names, self.units = model.names, model.units
-        self._receptance: ComplexArray | None = None
-
-    def receptance(self, _parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H [m/N] at the values that it was given, (n_line, n_output, n_input)."""
-        if self._receptance is None:
-            self._receptance = self._model.receptance(self._values, omega)
-        return self._receptance
-
-    def jacobian(self, _parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Its derivatives there, (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
-        return self._model.jacobian(self._values, omega)
 
 
 def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
@@ -417,12 +393,8 @@ SAME_SHAPE = 1e-8
 KINDS = {"N/m": "all stiffness", "N.s/m": "all damping"}
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """A change of H by 100 % of something, whitened (n_equation,) [1], and its name."""
-
-    name: str
-    values: FloatArray
+# Name of what changes by 100 %, and the whitened change of H (n_equation,) [1].
+_Shape = tuple[str, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -459,21 +431,21 @@ def drift_findings(
         return []
     change = whitened(whiten, measured.change)
     shapes = [*_kinds(jacobian, model, values), *_gains(measured, whiten, fitted)]
-    chance = _chance(change, np.vstack([jacobian, *(shape.values for shape in shapes)]), measured)
+    chance = _chance(change, np.vstack([jacobian, *(shape for _, shape in shapes)]), measured)
     if chance is None:
         return []
-    tests = [(chance.p_value(_along(change, shape.values) ** 2, 1), shape) for shape in shapes]
-    best, shape = min(tests, key=lambda entry: entry[0])
+    tests = [(chance.p_value(_along(change, shape) ** 2, 1), name, shape) for name, shape in shapes]
+    best, name, shape = min(tests, key=lambda entry: entry[0])
     basis = _basis(jacobian)
     together = chance.p_value(float(np.sum((basis @ change) ** 2)), basis.shape[0])
     p_value = min(1.0, min(best, together) * (len(tests) + 1) * n_band)
     if p_value >= DRIFT_P:
         return []
     if best <= together:
-        length = float(np.linalg.norm(shape.values))
-        amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
+        length = float(np.linalg.norm(shape))
+        amount, error = _along(change, shape) / length, np.sqrt(chance.variance) / length
         by = change_text(100 * amount, 100 * error, "%")
-        text = f"it looks like {shape.name} changed by {by}"
+        text = f"it looks like {name} changed by {by}"
     else:
         text = _of_parameters(jacobian, model, values, change, chance)
     message = (
@@ -487,11 +459,11 @@ def drift_findings(
 
 def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list[_Shape]:
     """All stiffness, all damping coefficients by one factor."""
-    shapes = []
+    shapes: list[_Shape] = []
     for unit, name in KINDS.items():
         chosen = [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
         if chosen:
-            shapes.append(_Shape(name, values[chosen] @ jacobian[chosen]))
+            shapes.append((name, values[chosen] @ jacobian[chosen]))
     return shapes
 
 
@@ -499,10 +471,10 @@ def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_
     """The gain of every channel; of a single force and a single response only the one of both."""
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     if len(outputs) == len(inputs) == 1:
-        return [_Shape(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
+        return [(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
     rows, columns = np.eye(len(outputs))[:, None, :, None], np.eye(len(inputs))[:, None, None, :]
     masks = [*zip(outputs, rows, strict=True), *zip(inputs, columns, strict=True)]
-    return [_Shape(f"the gain of {name}", whitened(whiten, fitted * mask)) for name, mask in masks]
+    return [(f"the gain of {name}", whitened(whiten, fitted * mask)) for name, mask in masks]
 
 
 def _basis(shapes: FloatArray) -> FloatArray:

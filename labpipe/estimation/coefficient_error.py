@@ -25,10 +25,9 @@ from labpipe.estimation.leakage import SmearedModel
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, compliance
-from labpipe.estimation.model_error import reason_of, shares_by_cause
-from labpipe.estimation.statistics import restated
+from labpipe.estimation.model_error import reason_of, shares_by_cause, with_model_error
 from labpipe.estimation.weights import Weights, white_columns
-from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
+from labpipe.records.finding import Discrepancy, Parameter
 
 # Lines below which a course cannot be told from the coefficients.
 FEWEST_LINES = 4
@@ -108,9 +107,8 @@ class CoefficientError:
         # The value stays that of the fit, which others can repeat; the interval holds it.
         low, high = min(wide.ci95[0], parameter.value), max(wide.ci95[1], parameter.value)
         full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
-        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
-        stated = restated(parameter, parameter.value, full, (low, high), std_error=noise, interval=parts)
-        return replace(stated, reason=self.reason, discrepancy=self.discrepancy, fitted=parameter.value)
+        stated = with_model_error(parameter, parameter.value, full, (low, high), noise)
+        return replace(stated, reason=self.reason, discrepancy=self.discrepancy)
 
 
 class Misfit(Protocol):

@@ -271,17 +271,33 @@ def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
 
     *biased*: name of an estimator that is so itself.
     """
+    factor = excess(estimate)
+    if factor is None:
+        return []
+    cause = "the model is incomplete" + (f", or {biased} is biased; compare with ml" if biased else "")
+    cure = f"Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+    what = excess_text(estimate.gof.chi2_reduced, estimate.gof.chi2_p)
+    return [Finding("model-mismatch", f"{what}: {cause}. {cure}")]
+
+
+def excess(estimate: Estimate) -> float | None:
+    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
+
+    Equation (est-excess).
+    """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
-        return []
-    factor = np.sqrt(reduced)
-    cause = "the model is incomplete" + (f", or {biased} is biased; compare with ml" if biased else "")
-    message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {reduced:.3g}, p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} "
-        "at least, or narrow the band."
+        return None
+    return float(np.sqrt(reduced))
+
+
+def excess_text(reduced: float | None, p_value: float | None) -> str:
+    """A residual beyond the measured noise, by chi-square per degree of freedom [1] and its p-value."""
+    assert reduced is not None
+    return (
+        f"the residual is {np.sqrt(reduced):.3g} times what the measured noise explains (chi-square per "
+        f"degree of freedom {reduced:.3g}, p = {p_value:.2g})"
     )
-    return [Finding("model-mismatch", message)]
 
 
 def parameter_findings(

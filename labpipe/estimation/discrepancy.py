@@ -34,6 +34,7 @@ from labpipe.estimation.mode_model import (
     second_beside_moving,
 )
 from labpipe.estimation.statistics import mixture_interval
+from labpipe.records.finding import NORMAL
 
 # Priors of the members.
 LADDER = {AS_IT_IS: 0.8, SECOND: 0.1, **dict.fromkeys(MOVED, 0.025)}
@@ -47,7 +48,6 @@ FARTHEST = 4.0
 LINEARISATIONS, LARGEST_STEP, SMALL_STEP = 3, 0.7, 0.02
 # The excess of an interval over that of noise counts by this factor.
 CALIBRATION = 1.5
-NORMAL = float(special.ndtri(0.975))
 # Lines below which, and half-power widths of a band below which, a course cannot be told from the resonance.
 FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
 

@@ -42,24 +42,13 @@ def bootstrap(
     *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is
     reproducible. FitError for an unknown noise, too few repeats, or failed refits.
     """
-    if repeats < FEWEST_REPEATS:
-        raise FitError(
-            f"bootstrap: {repeats} repeats give no 95 % interval",
-            hint=f"at least {FEWEST_REPEATS}, 200 is usual",
-        )
-    if not has_noise(measured):
-        raise FitError(
-            "bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out"
-        )
+    _check("bootstrap", repeats, f"at least {FEWEST_REPEATS}, 200 is usual", measured, FEWEST_REPEATS)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     refits: list[dict[str, float]] = []
     for _ in range(repeats):
         with contextlib.suppress(FitError):
             refits.append({p.name: p.value for p in refit(redrawn(measured, fitted, rng))})
-    if len(refits) < (1 - MOST_FAILED) * repeats:
-        raise FitError(
-            f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band"
-        )
+    _check_failed("bootstrap", len(refits), repeats)
     note = (
         f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's "
         "covariance (bootstrap)."
@@ -69,6 +58,20 @@ def bootstrap(
         for parameter in parameters
     )
     return tuple(scattered), note
+
+
+def _check(key: str, n: int, usual: str, measured: Measured, fewest: int) -> None:
+    """FitError for fewer draws than an interval needs, and for an unknown noise."""
+    if n < fewest:
+        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=usual)
+    if not has_noise(measured):
+        what = f"{key} needs the noise of the FRF, which is not known"
+        raise FitError(what, hint=f"leave `{key}` out")
+
+
+def _check_failed(key: str, n_fit: int, n: int) -> None:
+    if n_fit < (1 - MOST_FAILED) * n:
+        raise FitError(f"{key}: {n - n_fit} of {n} refits failed", hint="widen the band")
 
 
 def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
@@ -109,15 +112,13 @@ ENOUGH = 0.05
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """Parameters with the intervals of the draws, their budget with the scatter of the draws, and what is to
-    be said of it.
-    """
+class Budgeted:
+    """Parameters with all uncertainties, their budget, with draws where there are any, and what is said."""
 
     parameters: tuple[Parameter, ...]
-    budget: Budget
-    findings: tuple[Finding, ...]
-    note: str
+    budget: Budget | None = None
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def propagate(
@@ -127,26 +128,17 @@ def propagate(
     fitted: ComplexArray,
     refit: BudgetRefit,
     draws: int,
-) -> Drawn:
+) -> Budgeted:
     """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error
     of its distribution.
 
     The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
     Equation (unc-first-order).
     """
-    if draws < FEWEST_DRAWS:
-        raise FitError(
-            f"monte_carlo: {draws} draws give no reliable interval",
-            hint=f"at least {FEWEST_DRAWS}, 2000 is usual",
-        )
-    if not has_noise(case.measured):
-        raise FitError(
-            "monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out"
-        )
+    _check("monte_carlo", draws, f"at least {FEWEST_DRAWS}, 2000 is usual", case.measured, FEWEST_DRAWS)
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     values = [drawn for _ in range(draws) if (drawn := _draw(case, fitted, refit, rng)) is not None]
-    if len(values) < (1 - MOST_FAILED) * draws:
-        raise FitError(f"monte_carlo: {draws - len(values)} of {draws} refits failed", hint="widen the band")
+    _check_failed("monte_carlo", len(values), draws)
     columns = np.array(values)
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
@@ -156,7 +148,7 @@ def propagate(
         "(Monte Carlo, JCGM 101:2008)."
     )
     drawn_parameters = (_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True))
-    return Drawn(tuple(drawn_parameters), complete, findings, note)
+    return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
 def _draw(

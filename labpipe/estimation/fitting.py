@@ -23,7 +23,7 @@ from labpipe.estimation.budget import (
 )
 from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
-from labpipe.estimation.draws import bootstrap, propagate
+from labpipe.estimation.draws import Budgeted, bootstrap, propagate
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
@@ -42,7 +42,7 @@ from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
-from labpipe.records.uncertain import Budget, Uncertainty
+from labpipe.records.uncertain import Uncertainty
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import FormView
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -247,7 +247,7 @@ def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
     model = _model(setup)
     for name in model.names:
         if name not in names and isinstance(model, DynamicModel):
-            model = model.without(name)
+            model = model.fixed(name)
     return model
 
 
@@ -317,19 +317,9 @@ def _fit_band(
     return _BandFit(fit, fitted, model, estimate.values)
 
 
-@dataclass(frozen=True)
-class _Budgeted:
-    """Parameters with all uncertainties, and what is to be said of them."""
-
-    parameters: tuple[Parameter, ...]
-    budget: Budget | None = None
-    findings: tuple[Finding, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
 def _with_budget(
     case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray, factors: Mapping[str, float]
-) -> _Budgeted:
+) -> Budgeted:
     """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by
     draws.
 
@@ -342,14 +332,13 @@ def _with_budget(
         raise SettingError("monte_carlo", what, hint)
     budget = budget_of(case, parameters)
     if budget is None:
-        return _Budgeted(parameters)
+        return Budgeted(parameters)
     budget = budget.enlarged(factors)
     expanded = derived.with_systematic(parameters, budget)
     draws = case.setup.settings.monte_carlo
     if not draws:
-        return _Budgeted(expanded, budget)
-    drawn = propagate(case, expanded, budget, fitted, _refit, draws)
-    return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
+        return Budgeted(expanded, budget)
+    return propagate(case, expanded, budget, fitted, _refit, draws)
 
 
 def _parameter_findings(
@@ -527,7 +516,7 @@ def _eliminate(
         notes.append(
             f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero"
         )
-        model = model.without(name)
+        model = model.fixed(name)
         estimate = _estimate(measured, model, settings)
     return model, estimate, notes
 

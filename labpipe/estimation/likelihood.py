@@ -159,13 +159,7 @@ def maximum_likelihood(
     """
     if isinstance(model, TransferMode):
         return _of_transfer_mode(measured, model)
-    n_parameter = len(model.names)
-    dof = measured.n_equation - n_parameter
-    if dof <= 0:
-        raise FitError(
-            f"{measured.n_equation} real equations cannot determine {n_parameter} parameters",
-            hint="widen the band",
-        )
+    dof = _dof(measured, model)
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError(measured, expected(measured, model), fit_weights(measured))
@@ -175,6 +169,15 @@ def maximum_likelihood(
 
     best, start = _best_minimum(problem, p_value if weighted else None, most_steps)
     return _estimate(measured, model, problem, best, start.name)
+
+
+def _dof(measured: Measured, model: FittedModel) -> int:
+    """Equations less parameters; FitError for none."""
+    n_parameter = len(model.names)
+    if measured.n_equation <= n_parameter:
+        what = f"{measured.n_equation} real equations cannot determine {n_parameter} parameters"
+        raise FitError(what, hint="widen the band")
+    return measured.n_equation - n_parameter
 
 
 def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
@@ -202,12 +205,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is
     near; *name* of the start.
     """
-    n_parameter = len(model.names)
-    if measured.n_equation <= n_parameter:
-        raise FitError(
-            f"{measured.n_equation} real equations cannot determine {n_parameter} parameters",
-            hint="widen the band",
-        )
+    _dof(measured, model)
     problem: OutputError[ReceptanceModel] = OutputError(
         measured, expected(measured, model), fit_weights(measured)
     )
@@ -218,7 +216,7 @@ def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
     """The estimate at a minimum of *problem*, with its uncertainty."""
-    n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
+    n_parameter, dof = len(model.names), _dof(measured, model)
     linear = problem.linearised(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
     residual = measured.matrix - problem.model.receptance(best.values, measured.omega)

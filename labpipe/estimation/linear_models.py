@@ -36,8 +36,6 @@ def _scalar_mass(mass: Mass) -> float | None:
         return None
     if not isinstance(mass, (int, float)):
         raise ConfigError("this model takes one mass", hint="for example mass: 0.92 kg")
-    if not mass >= 0:
-        raise ConfigError(f"the mass is {mass:g} kg", hint="it must not be negative")
     return float(mass)
 
 
@@ -67,11 +65,12 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
     axes = _axes(setup.outputs)
     mass = _mass_or_error(setup)
     shape = (2, len(setup.inputs))
+    places = list(zip("xy", np.argsort(axes).tolist(), strict=True))
     terms = [
         entry_term(f"{letter}_{row}{column}", kind, [(r, c)], shape)
         for letter, kind in (("k", "stiffness"), ("c", "damping"))
-        for row, r in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
-        for column, c in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
+        for row, r in places
+        for column, c in places
     ]
     force: FloatArray = np.zeros(shape)
     angles = [angle_of(port) for port in setup.inputs]
@@ -256,7 +255,11 @@ def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
-    entries = np.array(mass, dtype=float) if _rectangular(mass) else np.empty(0)
+    try:
+        entries = np.array(mass, dtype=float)
+    except ValueError:
+        # Rows of several lengths.
+        entries = np.empty(0)
     if entries.ndim == 0:
         return float(entries) * np.eye(n_dof)
     if entries.shape == (n_dof,):
@@ -267,16 +270,6 @@ def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     if not np.allclose(entries, entries.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(entries)[0] < 0:
         raise ConfigError("the mass matrix is not symmetric with positive kinetic energy")
     return entries
-
-
-def _rectangular(mass: Mass) -> bool:
-    """True for a number, a list of numbers, or a list of equally long lists of numbers."""
-    if not isinstance(mass, tuple):
-        return True
-    rows = [row if isinstance(row, tuple) else (row,) for row in mass]
-    return len({len(row) for row in rows}) == 1 and all(
-        isinstance(entry, (int, float)) for row in rows for entry in row
-    )
 
 
 def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:

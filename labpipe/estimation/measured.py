@@ -29,23 +29,21 @@ class Measured:
     """Receptance of the chosen ports on the chosen lines, with its noise.
 
     omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of
-      vec row-major, or None;
-    noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common
-      one (smoothed noise).
-    change (n_line, n_output, n_input) [m/N]: of the second half of the record against the first, or None.
+    vec row-major, or None; noise_dof: complex degrees of freedom of one line's covariance estimate;
+    noise_lines: lines with a common one (smoothed noise). change (n_line, n_output, n_input) [m/N]: of the
+    second half of the record against the first, or None.
+
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the
-      lines, c the correlation
-    of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on
-      that of their powers. Where
-    c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels
-      between lines it is 1 at least,
-    since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent
-      lines; *noise*: that of lines
-    that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a
-      gain's error acts on both; None for
-    0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces
-      first, where the covariance follows from it by the measured FRF; None else. *blocks* of random data and
-      their *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
+    lines, c the correlation of their noise (a window spreads it over neighbours): factor on the variance of a
+    sum over lines, and on that of their powers. Where c is complex, lines do not add up and shared_noise is
+    the upper bound shared_power; where noise cancels between lines it is 1, since no estimate is a plain sum.
+    *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines with
+    gains of their own.
+
+    *offset* (n_line,) [m/N]: what was taken off the measured form, on which a gain's error acts too; None for
+    0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces first,
+    where the covariance follows from it by the measured FRF; None else. *blocks* of random data and their
+    *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
     """
 
     omega: FloatArray

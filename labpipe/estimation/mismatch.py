@@ -17,7 +17,7 @@ from labpipe.errors import FitError
 from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
-from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.measured import Measured
@@ -29,6 +29,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student_limit
 from labpipe.estimation.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.records.finding import Finding
+from labpipe.records.identification import Goodness
 
 MOST_STEPS = 40
 # Draws of noise where a p-value only has to be above MISMATCH_P.
@@ -182,7 +183,7 @@ def judge(
         return Judgement()
     minimum = judged.minimum(shown, estimate.values) if settings.estimates.phase else None
     if minimum is None:
-        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, judged.factor)
+        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, estimate.gof)
     if minimum.p_value >= MISMATCH_P:
         return _by_bias(judged, minimum)
     if judged.uneven(minimum):
@@ -193,17 +194,6 @@ def judge(
         or _with_coefficient_error(judged, minimum)
         or _by_excess(judged, minimum)
     )
-
-
-def excess(estimate: Estimate) -> float | None:
-    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
-
-    Equation (est-excess).
-    """
-    reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
-    if reduced is None or p_value is None or p_value >= MISMATCH_P:
-        return None
-    return float(np.sqrt(reduced))
 
 
 def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
@@ -341,8 +331,10 @@ def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     """
     away = best.values - judged.estimate.values
     if best.structure is None:
-        assert best.assessed.reduced is not None
-        return _by_factor(judged, judged.factor or float(np.sqrt(best.assessed.reduced)), away)
+        at_minimum = replace(
+            judged.estimate.gof, chi2_reduced=best.assessed.reduced, chi2_p=best.assessed.p_value
+        )
+        return _by_factor(judged, at_minimum if judged.factor is None else judged.estimate.gof, away)
     covariance = _with_distance(judged.measured.omega.size / 2 * best.assessed.covariance, away)
     text = (
         f"{_wording(best)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
@@ -351,21 +343,20 @@ def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     return Judgement(judged.finding(text, "Use a model with more modes, or more lines"), covariance)
 
 
-def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) -> Judgement:
+def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) -> Judgement:
     """The excess over the measured noise taken as noise, and the distance *away* of another estimator from ml
     beside it.
     """
+    assert gof.chi2_reduced is not None
     estimate, estimator = judged.estimate, judged.settings.estimator
-    covariance = factor**2 * estimate.covariance
+    covariance = gof.chi2_reduced * estimate.covariance
     if away is not None:
         covariance = _with_distance(covariance, away)
     # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
     # well.
     biased = "" if judged.settings.estimates.unbiased else f", or {estimator} is biased"
     text = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): the model is "
-        f"incomplete{biased}. "
+        f"{excess_text(gof.chi2_reduced, gof.chi2_p)}: the model is incomplete{biased}. "
         f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )
@@ -375,11 +366,7 @@ def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) ->
 def _wording(best: _Minimum) -> str:
     """What is wrong with the residual."""
     if best.structure is None:
-        assert best.assessed.reduced is not None
-        return (
-            f"the residual is {np.sqrt(best.assessed.reduced):.3g} times what the measured noise explains "
-            f"(chi-square per degree of freedom {best.assessed.reduced:.3g}, p = {best.p_value:.2g})"
-        )
+        return excess_text(best.assessed.reduced, best.p_value)
     return (
         f"the residual is not noise: {best.structure.said} (p = {best.p_value:.2g} for noise under the "
         "same fit)"

@@ -4,7 +4,7 @@ constraints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -171,11 +171,7 @@ class DynamicModel:
         """The parameters (n_parameter,) [parameter units], unchanged."""
         return values
 
-    def without(self, name: str) -> DynamicModel:
-        """The model with one parameter fixed at zero."""
-        return self.fixed(name, 0.0)
-
-    def fixed(self, name: str, value: float) -> DynamicModel:
+    def fixed(self, name: str, value: float = 0.0) -> DynamicModel:
         """The model with one parameter fixed instead of estimated."""
         (term,) = (term for term in self.terms if term.name == name)
         others = tuple(other for other in self.terms if other is not term)
@@ -214,7 +210,9 @@ class DynamicModel:
         Equation (est-receptance).
         """
         whole = self.whole(parameters)
-        return _solve(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
+        return _regular(
+            np.linalg.solve, _dynamic_stiffness(whole, omega), whole.force.astype(np.complex128)[None]
+        )
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit];
@@ -235,7 +233,7 @@ class DynamicModel:
     def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
         """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
         n_line, n_dof, n_input = slopes.shape[:3]
-        inverse = _inverse(_dynamic_stiffness(whole, omega))
+        inverse = _regular(np.linalg.inv, _dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
         outer = inverse[:, :, None, :, None] * by_input[:, None, :, None, :]
         outer = outer.reshape(n_line, n_dof, n_input, n_dof**2)
@@ -255,7 +253,7 @@ class DynamicModel:
         """
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
-        solved = _inverse(self.dynamic_stiffness(parameters, omega)) @ joined
+        solved = compliance(self, parameters, omega) @ joined
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
     def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
@@ -316,7 +314,7 @@ def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -
 
     FitError where Z is singular.
     """
-    return _inverse(model.dynamic_stiffness(parameters, omega))
+    return _regular(np.linalg.inv, model.dynamic_stiffness(parameters, omega))
 
 
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
@@ -331,26 +329,13 @@ def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     )
 
 
-def _solve(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
+def _regular(operation: Callable[..., ComplexArray], *matrices: ComplexArray) -> ComplexArray:
+    """An operation of numpy on dynamic stiffness; FitError where that is singular."""
     try:
-        solved: ComplexArray = np.linalg.solve(z, sides[None])
+        return operation(*matrices)
     except np.linalg.LinAlgError:
-        raise _singular() from None
-    return solved
-
-
-def _inverse(z: ComplexArray) -> ComplexArray:
-    try:
-        inverse: ComplexArray = np.linalg.inv(z)
-    except np.linalg.LinAlgError:
-        raise _singular() from None
-    return inverse
-
-
-def _singular() -> FitError:
-    return FitError(
-        "the dynamic stiffness of the model is singular at a line", hint="check the band and the mass"
-    )
+        what = "the dynamic stiffness of the model is singular at a line"
+        raise FitError(what, hint="check the band and the mass") from None
 
 
 # What a model needs to know of the measurement, and the pieces that models are made of.

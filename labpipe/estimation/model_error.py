@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.derived import is_corrected
-from labpipe.estimation.discrepancy import NORMAL, Mixture, mixture
+from labpipe.estimation.discrepancy import Mixture, mixture
 from labpipe.estimation.linear_models import PER_MASS
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
@@ -18,7 +18,7 @@ from labpipe.estimation.model import DynamicModel, FittedModel
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import restated
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
-from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
+from labpipe.records.finding import NORMAL, Discrepancy, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 
 # Lines beyond which neighbours are averaged, those around the resonance alone, to this many half-power widths
@@ -124,9 +124,19 @@ class ModelError:
             centre, low, high = (sign * float(np.exp(end)) for end in (centre, low, high))
             low, high, noise = min(low, high), max(low, high), noise * abs(centre)
         full = max((high - low) / (2 * NORMAL), noise)
-        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
-        stated = restated(parameter, centre, full, (low, high), std_error=noise, interval=parts)
-        return replace(stated, reason=reason, discrepancy=self.discrepancy, fitted=parameter.value)
+        stated = with_model_error(parameter, centre, full, (low, high), noise)
+        return replace(stated, reason=reason, discrepancy=self.discrepancy)
+
+
+def with_model_error(
+    parameter: Parameter, value: float, error: float, ci95: tuple[float, float], noise: float
+) -> Parameter:
+    """The parameter with a *value*, an *error* and a *ci95* of model error and *noise* [all its unit], of
+    which the latter is std_error.
+    """
+    parts = IntervalParts(noise, float(np.sqrt(max(error**2 - noise**2, 0.0))))
+    fitted = parameter.value
+    return restated(parameter, value, error, ci95, std_error=noise, interval=parts, fitted=fitted)
 
 
 def shares_by_cause(shares: Mapping[str, float]) -> dict[str, float]:

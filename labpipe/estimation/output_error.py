@@ -214,7 +214,7 @@ class OutputError(Generic[Model]):
     @cached_property
     def weights(self) -> Weights:
         """The whitener, or its diagonals (n_line, n) [N/m] where all else is zero, or its factors."""
-        return self.whitener if isinstance(self.whitener, ProductWeights) else short_weights(self.whitener)
+        return short_weights(self.whitener)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,15 +40,13 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), n_parameter)
     design, amplification = _plain_design(measured, model, values, equation.terms)
     dof = measured.n_equation - n_parameter
-    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    scaled, notes = measured.shared_noise * covariance, (BIAS_NOTE,)
     return statistics.Estimate(
         values=values,
-        covariance=scaled,
+        covariance=measured.shared_noise * covariance,
         scaled_design=design,
-        gof=gof,
+        gof=Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof)),
         dof=dof,
-        notes=notes,
+        notes=(BIAS_NOTE,),
         parameter_dof=parameter_dof,
         amplification=amplification,
     )
@@ -80,6 +79,39 @@ class Regression:
     terms: ComplexArray
     right_side: ComplexArray
     line_weights: FloatArray
+
+    @cached_property
+    def rows(self) -> FloatArray:
+        """The terms as real rows (n_parameter, n_equation) [1 per parameter unit]."""
+        return statistics.stacked_terms(self.terms)
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Of the rows (n_parameter,) [1 per parameter unit], in which parameters of any dimension compare."""
+        return np.sqrt(np.einsum("pe,pe->p", self.rows, self.rows))
+
+    @cached_property
+    def side(self) -> FloatArray:
+        """The right side as real equations (n_equation,) [1]."""
+        return statistics.stack(self.right_side.reshape(-1))
+
+    def instrumental(self, instruments: FloatArray) -> FloatArray:
+        """(V^T A)^-1 V^T b (n_parameter,) [parameter units] of *instruments* V (n_parameter, n_equation), all
+        scaled by the lengths in between.
+
+        FitError where V is dependent.
+        """
+        product = (instruments @ self.rows.T) / np.outer(self.lengths, self.lengths)
+        try:
+            values: FloatArray = (
+                np.linalg.solve(product, (instruments @ self.side) / self.lengths) / self.lengths
+            )
+        except np.linalg.LinAlgError:
+            what = "the instruments of iv are linearly dependent"
+            raise FitError(what, hint="excite a second force direction, or use ml") from None
+        if not np.all(np.isfinite(values)):
+            raise FitError("iv diverged", hint="use ml")
+        return values
 
     def residual(self, values: FloatArray) -> ComplexArray:
         """Residual of the equation, (n_line, n_dof, n_input) [1]."""
@@ -280,24 +312,20 @@ def instrumental_variables(
     )
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
-    correlation = weakest_correlation(instruments, statistics.stacked_terms(equation.terms))
+    correlation = weakest_correlation(instruments, equation.rows)
     converged = stationary and correlation >= WEAKEST_INSTRUMENTS
-    covariance = _sandwich(measured, model, equation, instruments, values)
     dof = measured.n_equation - len(model.terms)
     r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), len(model.terms))
-    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
     design, amplification = equation_design(fitted_terms, model, values)
-    scaled = measured.shared_noise * covariance
     return statistics.Estimate(
         values=values,
-        covariance=scaled,
+        covariance=measured.shared_noise * _sandwich(measured, model, equation, instruments, values),
         scaled_design=design,
-        gof=gof,
+        gof=Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof)),
         dof=dof,
         converged=converged,
         iterations=iterations,
-        notes=notes,
+        notes=() if converged else (BREAKDOWN_NOTE.format(correlation=correlation),),
         amplification=amplification,
     )
 
@@ -310,57 +338,25 @@ def instrument_step(
     """
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, regression(measured, model, weight))
-
-    def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
-        equation = regression(changed, changed_model, weight)
-        columns, side = (
-            statistics.stacked_terms(equation.terms),
-            statistics.stack(equation.right_side.reshape(-1)),
-        )
-        size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
-        return _solve_instrumental(instruments, columns, side, size)
-
-    return step
+    return lambda changed_model, changed: regression(changed, changed_model, weight).instrumental(instruments)
 
 
 def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
 ) -> tuple[FloatArray, bool, int]:
     """(estimate, True if converged, iterations)."""
-    columns, side = (
-        statistics.stacked_terms(equation.terms),
-        statistics.stack(equation.right_side.reshape(-1)),
-    )
-    # Parameters of different dimension are compared in units of the regressors' lengths.
-    size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
     last: ComplexArray | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)
         instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
-        new = _solve_instrumental(instruments, columns, side, size)
-        stationary = _change(new * size, values * size) < TOLERANCE or (
+        new = equation.instrumental(instruments)
+        stationary = _change(new * equation.lengths, values * equation.lengths) < TOLERANCE or (
             last is not None and _change(response, last) < TOLERANCE
         )
         values, last = new, response
         if stationary:
             return values, True, iteration
     return values, False, MAX_ITERATIONS
-
-
-def _solve_instrumental(
-    instruments: FloatArray, columns: FloatArray, side: FloatArray, size: FloatArray
-) -> FloatArray:
-    """(V^T A)^-1 V^T b, both sides scaled by the *size* of the regressors in between."""
-    product = (instruments @ columns.T) / np.outer(size, size)
-    try:
-        values: FloatArray = np.linalg.solve(product, (instruments @ side) / size) / size
-    except np.linalg.LinAlgError:
-        raise FitError(
-            "the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml"
-        ) from None
-    if not np.all(np.isfinite(values)):
-        raise FitError("iv diverged", hint="use ml")
-    return values
 
 
 def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
@@ -384,7 +380,7 @@ def _sandwich(
     """
     scores = _scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
-    bread = np.linalg.pinv(instruments @ statistics.stacked_terms(equation.terms).T)
+    bread = np.linalg.pinv(instruments @ equation.rows.T)
     covariance: FloatArray = bread @ middle @ bread.T
     return covariance
 

@@ -1,18 +1,12 @@
 """Whether the residual of a fit is noise, and the scatter of the residual along the lines as its covariance.
 
-Covariance of an output-error fit from the scatter of its residual along the lines, for noise that is not
-known or not all there is.
-
 Every line gives a share of the estimate; the shares of lines near each other may have common noise (a window
 spreads it), and lines may differ in noise. The sum of their products with Bartlett's weights allows for both
 (Newey and West 1987, Econometrica 55:703).
 
-Whether the residual of a fit is noise, where the size of the noise is not known: its structure against that
-of noise under the same fit.
-
-A residual is what noise becomes after the fit has taken its part, (I - P) n with P the projection on the
-Jacobian's columns. So noise is drawn, projected likewise, and the same statistics are computed of the draws:
-their p-values are exact whatever the band.
+Where the size of the noise is not known, the structure of the residual is held against that of noise under
+the same fit: a residual is (I - P) n with P the projection on the Jacobian's columns, so noise is drawn,
+projected likewise, and the same statistics are computed: their p-values are exact whatever the band.
 """
 
 from __future__ import annotations

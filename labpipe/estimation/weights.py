@@ -83,13 +83,6 @@ def correlation_factors(
     return outputs, inputs
 
 
-def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """s_o (n_line, n_output) [m/N] and s_i (n_line, n_input) [1] of standard deviations s_o s_i (n_line,
-    n_output, n_input) [m/N].
-    """
-    return deviations[:, :, 0], deviations[:, 0] / deviations[:, 0, :1]
-
-
 # Relative standard deviation of an FRF below which its scatter is rounding, not measured noise.
 NOISE_FREE = 1e-10
 # A covariance of normalised FRFs is rank deficient if its smallest eigenvalue is below this many roundings.
@@ -109,10 +102,10 @@ Weights: TypeAlias = ComplexArray | ProductWeights
 class WeightUncertainty:
     """Effect of weights from an estimated covariance on a fit; all 1 and infinite for a known covariance.
 
-    excess        E[d^H S^-1 d] / E[d^H C^-1 d]: factor by which the weighted residual is too large inflation
-    true covariance of the estimates / (J^H S^-1 J)^-1, including lost efficiency and noise shared by lines
-    residual_dof  second degree of freedom of the F distribution of the reduced chi-square shared        ratio
-    of equations to degrees of freedom of the residual, since lines share noise
+    excess: E[d^H S^-1 d] / E[d^H C^-1 d], by which the weighted residual is too large. inflation: true
+    covariance of the estimates / (J^H S^-1 J)^-1, with lost efficiency and noise shared by lines.
+    residual_dof: second degree of freedom of the F distribution of the reduced chi-square. shared: ratio of
+    equations to degrees of freedom of the residual, since lines share noise.
     """
 
     excess: float = 1.0
@@ -296,7 +289,8 @@ def fit_weights(measured: Measured) -> Weights:
         return short_weights(whitener(measured))
     smallest = [np.linalg.eigvalsh(factor)[:, 0] for factor in factors]
     _check_regular(measured, smallest[0] * smallest[1])
-    deviations = deviation_factors(by_port)
+    # Standard deviations are s_o [m/N] of the outputs times s_i [1] of the inputs.
+    deviations = by_port[:, :, 0], by_port[:, 0] / by_port[:, 0, :1]
     roots = (
         np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None]
         for factor, size in zip(factors, deviations, strict=True)
@@ -358,17 +352,15 @@ def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
 
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
     """
+    flat, whitener = values.reshape(*values.shape[:-2], -1), short_weights(whitener)
     if isinstance(whitener, ProductWeights):
-        return np.sqrt(2.0) * stack(whitener.whitened(values).reshape(*values.shape[:-3], -1))
-    flat = values.reshape(*values.shape[:-2], -1)
-    whitener = short_weights(whitener)
-    if whitener.ndim == 2:
-        return np.sqrt(2.0) * stack((flat * whitener).reshape(*values.shape[:-3], -1))
-    white = np.matmul(
-        whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2)
-    )
-    lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
-    return np.sqrt(2.0) * stack(lines)
+        white = whitener.whitened(values)
+    elif whitener.ndim == 2:
+        white = flat * whitener
+    else:
+        by_line = np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1])
+        white = np.moveaxis(np.matmul(whitener, by_line.swapaxes(1, 2)), 2, 0)
+    return np.sqrt(2.0) * stack(white.reshape(*values.shape[:-3], -1))
 
 
 def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
@@ -379,7 +371,7 @@ def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
     """
     n_term, n_line, n = terms.shape[0], terms.shape[1], terms.shape[2] * terms.shape[3]
     by_line = terms.transpose(1, 2, 3, 0)
-    whitener = whitener if isinstance(whitener, ProductWeights) else short_weights(whitener)
+    whitener = short_weights(whitener)
     stacked_columns = np.empty((2, n_line, n, n_term))
     n_chunk = max(16, CACHED_TERMS // (n * n_term))
     for start in range(0, n_line, n_chunk):
@@ -413,12 +405,13 @@ def weights_at(weights: Weights, lines: slice) -> Weights:
     return weights.at(lines) if isinstance(weights, ProductWeights) else weights[lines]
 
 
-def short_weights(whitener: ComplexArray) -> ComplexArray:
+def short_weights(whitener: Weights) -> Weights:
     """Weights (n_line, n, n) [N/m] as their diagonals (n_line, n) where all else is zero: FRFs with
     independent noise.
     """
-    if whitener.ndim == 2:
+    if is_short(whitener):
         return whitener
+    assert isinstance(whitener, np.ndarray)
     diagonal: ComplexArray = np.einsum("lnn->ln", whitener)
     return diagonal if np.count_nonzero(whitener) == np.count_nonzero(diagonal) else whitener
 
