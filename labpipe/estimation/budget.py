@@ -67,8 +67,7 @@ class Case:
 
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget | None:
-    """The budget of reported *parameters*; None where no number has an uncertainty, or the fit did not
-    converge.
+    """The budget of reported *parameters*; None where no number has an uncertainty, or without convergence.
 
     Equation (unc-implicit).
     """
@@ -127,8 +126,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     still change of its residual.
 
     Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of
-    these: far above the noise it is not linear. Of unknown noise the fit as it was made. FitError as
-    `solve_scaled`.
+    these: far above the noise it is not linear. Of unknown noise as it was made. FitError as `solve_scaled`.
     """
     sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
@@ -164,9 +162,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
 def _move(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], at: FloatArray, values: FloatArray
 ) -> Case:
-    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)
-    [parameter units].
-    """
+    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)."""
     moved = case
     for (uncertainty, change), amount in zip(sources, at, strict=True):
         moved = change(moved, amount * uncertainty.std_error)
@@ -178,9 +174,7 @@ def _residual_changes(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], weights: Weights
 ) -> FloatArray:
     """Changes of the whitened residual (n_source, n_equation) [1] by one standard uncertainty of each source.
-
-    A gain acts on the fitted response here, not on the measured one: times its noise it would take the
-    residual's own noise for an error.
+    A gain acts on the fitted response: with the measured one the residual's own noise would be an error.
     """
     values = case.estimate.values
     fitted = expected(case.measured, case.model).receptance(values, case.measured.omega)
@@ -194,17 +188,12 @@ def _residual_changes(
 
 
 def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
-    """A fit whose k and c are the given mass times what is fitted, with what the uncertainty of that mass
-    adds; as it is without one.
-    """
+    """A fit of k and c in proportion to the given mass, with what its uncertainty adds, if any."""
     return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
 
 
 def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
-    """The given mass as a source of stiffness and damping that are in proportion to it.
-
-    None without an uncertainty of it.
-    """
+    """The given mass as a source of stiffness and damping in proportion to it; none without uncertainty."""
     mass = mass_uncertainty(settings)
     if mass is None or not settings.mass:
         return []
@@ -222,10 +211,7 @@ def mass_uncertainty(settings: FitSettings) -> uncertain.Uncertainty | None:
 
 
 def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
-    """The fit with what further systematic *sources* add to the uncertainty of its parameters.
-
-    As it is where none changes an interval.
-    """
+    """The fit with what further *sources* add to its uncertainty; as it is where none changes an interval."""
     before = full_errors(fit.parameters)
     counted = [source for source in sources if np.any(source[1][np.isfinite(before)])]
     if not counted:
@@ -244,10 +230,8 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
-    """The fit with combined and expanded uncertainty of every parameter that given numbers make uncertain,
-    and with its sources.
-
-    *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of
+    """The fit with combined and expanded uncertainty, and the sources, of parameters that given numbers make
+    uncertain. *coverage* [1]: probability of the expanded one, by Student's t with the effective degrees of
     freedom.
     """
     if fit.budget is None:
@@ -258,11 +242,7 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
 def contribute(
     parameters: Sequence[Parameter], budget: uncertain.Budget, coverage: float
 ) -> tuple[Parameter, ...]:
-    """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all
-    of them.
-
-    *coverage* [1]: as for `with_contributions`. A parameter without a systematic part stays as it is.
-    """
+    """The same of *parameters* by a *budget* of all of them. One without a systematic part stays as it is."""
     stated = []
     for parameter in parameters:
         if parameter.systematic is None:
@@ -331,24 +311,20 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
     slope, power = uncertain.COURSES[effect]
 
     def change(case: Case, error: float) -> Case:
-        factor = np.exp(sign * error * slope * case.measured.omega**power)
-        matrix = case.measured.plus_offset(case.measured.matrix).copy()
-        if sign > 0:
-            matrix[:, number, :] *= factor[:, None]
-        else:
-            matrix[:, :, number] *= factor[:, None]
-        offset = case.measured.offset
-        return _with_matrix(case, matrix if offset is None else matrix - offset[:, None, None])
+        measured = case.measured
+        matrix = measured.plus_offset(measured.matrix).copy()
+        at = (slice(None), number) if sign > 0 else (..., number)
+        matrix[at] *= np.exp(sign * error * slope * measured.omega**power)[:, None]
+        offset = 0.0 if measured.offset is None else measured.offset[:, None, None]
+        return _with_matrix(case, matrix - offset)
 
     return change
 
 
 def _change_of_direction(number: int, sign: float) -> Change:
-    """Another direction of a force, of which the model knows; or of a sensor, which then reads something of
-    the motion across it.
-
-    A sensor without another of known direction beside it is turned in the model, as if the motion were alike
-    in all directions.
+    """Another direction of a force, of which the model knows; or of a sensor, which then reads the motion
+    across it too. Without another of known direction beside it, it is turned in the model, as if the motion
+    were alike in all directions.
     """
 
     def change(case: Case, error: float) -> Case:
@@ -393,10 +369,7 @@ def _heavier(case: Case, error: float) -> Case:
 
 
 def support_uncertainties(support: Support | None) -> Iterator[tuple[str, uncertain.Uncertainty]]:
-    """Uncertainties of stiffness and damping, by these names, of a support that is subtracted.
-
-    In all tests on it they are the same errors.
-    """
+    """Uncertainties of a support's stiffness and damping by name: the same errors in all its tests."""
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
         number: uncertain.Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
@@ -416,10 +389,7 @@ def _other_support(name: str) -> Change:
 
 
 def _step_of(case: Case) -> Step:
-    """The estimator's step.
-
-    Without one that of ml, where the estimate is that of ml, else the estimate anew.
-    """
+    """The estimator's step; without one that of ml, where the estimate is that of ml, else the fit anew."""
     settings = case.setup.settings
     estimator = settings.estimates
     if estimator.step is not None:
@@ -433,12 +403,9 @@ def _step_of(case: Case) -> Step:
 
 
 def instrumental_step(case: Case) -> Step:
-    """One more step of the instrumental variables from their estimate, on changed data and with a changed
-    model.
-    """
-    by_instruments = instrument_step(
-        case.measured, _linear(case.model), case.setup.settings.weight, case.estimate.values
-    )
+    """One more step of the instrumental variables from their estimate, on changed data and model."""
+    weight, values = case.setup.settings.weight, case.estimate.values
+    by_instruments = instrument_step(case.measured, _linear(case.model), weight, values)
     return lambda model, measured: by_instruments(_linear(model), measured)
 
 
@@ -456,9 +423,7 @@ def _linear(model: BandModel) -> DynamicModel:
 
 
 def likelihood_step(case: Case) -> Step:
-    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the
-    estimate.
-    """
+    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)), the weighted residual r and its Jacobian J at the estimate."""
     weights, jacobian, residual = _linearise(case)
     _, inverse = solve_scaled(jacobian, residual)
 
@@ -470,9 +435,7 @@ def likelihood_step(case: Case) -> Step:
 
 
 def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,)
-    at the estimate.
-    """
+    """Weights, Jacobian (n_equation, n_parameter) and residual (n_equation,) of the output error there."""
     measured, values = case.measured, case.estimate.values
     weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
     problem = OutputError(measured, expected(measured, case.model), weights)
@@ -489,9 +452,9 @@ def with_repeat_sources(
     conditions: Mapping[str, Any],
     coverage: float,
 ) -> Fit:
-    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties.
+    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties. One
+    source changes one parameter, since repeats of one coefficient do not tell how others go with it.
 
-    One source changes one parameter, since repeats of one coefficient do not tell how others go with it.
     ConfigError for a test without the condition that its errors go by.
     """
     names = [parameter.name for parameter in fit.parameters]

@@ -39,10 +39,7 @@ def stated_findings(
     uncertainties: Sequence[Uncertainty], pulls: Pulls, values: Mapping[str, float]
 ) -> list[Finding]:
     """Findings that name every stated number that the data contradict, with the value that they ask for;
-    masses by the code `mass`.
-
-    *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are
-    one number.
+    masses by the code `mass`. *uncertainties*: source of each pull; *values* [SI]: numbers by source.
     """
     text: dict[str, list[str]] = {"mass": [], "stated-value": []}
     for number in map(int, np.flatnonzero(pulls.far)):
@@ -50,14 +47,11 @@ def stated_findings(
         text[code].append(_contradiction(uncertainties[number], pulls, number, values))
     what = (
         "Each is judged with all others within what was stated, and counts in the intervals with its "
-        "distance. One of these numbers is "
-        "wrong, or its uncertainty is larger than stated: weigh or calibrate again"
+        "distance. One of these numbers is wrong, or its uncertainty is larger than stated: weigh or "
+        "calibrate again"
     )
-    return [
-        Finding(code, f"the data contradict {'; '.join(named)}. {what}")
-        for code, named in text.items()
-        if named
-    ]
+    contradicted = ((code, f"the data contradict {'; '.join(named)}. {what}") for code, named in text.items())
+    return [Finding(code, message) for code, message in contradicted if text[code]]
 
 
 def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
@@ -79,18 +73,17 @@ def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: 
 
 
 CONTRADICTED_P = 0.01
-# Share of the chi-square beyond the noise that a free mass explains where the mass is what is wrong.
+# Share of the excess chi-square that a free mass explains where the mass is what is wrong.
 EXPLAINED = 0.5
 MOST_STEPS = 40
-# A given mass is taken as known to this share: forces and responses are hardly calibrated better, and a
-# window's resolution at a sharp resonance, which no covariance holds, moves a free mass by tenths of a per
-# cent.
+# A given mass is taken as known to this share: calibrations are hardly better, and a window's resolution at a
+# sharp resonance, which no covariance holds, moves a free mass by tenths of a per cent.
 TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class _FreeFit:
-    """Output-error fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
+    """Fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
 
     values: FloatArray
     covariance: FloatArray
@@ -103,11 +96,10 @@ def mass_findings(
     """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the
     fit with it.
 
-    Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least
-    squares would be biased by noise. No finding where the mass was not given, or the forces' factors are
-    estimated too: the curve knows ratios only then. Nor in sliding bands, which are for stiffness that
-    changes with frequency: within a band that looks like another mass. What *stated* numbers change adds to
-    the uncertainty of the free mass. Equation (est-mass).
+    Whatever the estimator, the mass is freed in an output-error fit, which noise does not bias. No finding
+    where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then.
+    Nor in sliding bands, where stiffness that changes with frequency looks like another mass. What *stated*
+    numbers change adds to the uncertainty of the free mass. Equation (est-mass).
     """
     freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
@@ -123,8 +115,8 @@ def mass_findings(
 
 
 def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] | None:
-    """The model with a term per mass, and the given masses (n_mass,) [kg]: a single one for a mass that is
-    one number, else one per dof. None without given mass or force.
+    """The model with a term per mass, and the given masses (n_mass,) [kg]: one, or one per dof where they are
+    a list. None without given mass or force.
     """
     given, force = model.constant.mass, model.constant.force
     diagonal = np.diag(given)
@@ -146,11 +138,9 @@ def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] 
 def _free_fit(
     measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None
 ) -> _FreeFit | None:
-    """The fit from *start* (n_parameter,); None where the data cannot tell the mass.
-
-    Its covariance comes from the measured noise where that explains the residual. Else it comes from the
-    residual's own scatter along the lines, and of a measured excess the free mass must explain most:
-    otherwise something else is wrong with the model.
+    """The fit from *start* (n_parameter,); None where the data cannot tell the mass. Its covariance is that
+    of the measured noise where this explains the residual, else of the residual's scatter along the lines; of
+    a measured excess the free mass must explain most, or something else is wrong.
     """
     weighted = has_noise(measured)
     if measured.n_equation <= start.size:
@@ -184,7 +174,6 @@ def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> fl
     """The least |whiten (off - x)|^2 [1] of shifts x (n_mass,) [kg] within +- *limits* [kg]."""
     if off.size == 1:
         return float((whiten[0, 0] * max(abs(off[0]) - limits[0], 0.0)) ** 2)
-
     return 2 * float(scipy.optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
 
 
@@ -235,11 +224,9 @@ def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
     return amount_text(value, std_error, si_unit, "+-")
 
 
-# A channel that was recorded late: the delay with which a residual that is far from noise is explained.
-
 # Delays are looked for up to so many periods of the highest line, in steps of this share of its period.
 MOST_PERIODS, DELAY_STEP = 5.0, 0.1
-# Share of the chi-square beyond the noise that a delay explains where it is what is wrong.
+# Share of the excess chi-square that a delay explains where it is what is wrong.
 BY_DELAY = 0.9
 # Channels, by the least chi-square of their grids, whose delay is fitted beside all parameters.
 LIKELIEST = 2
@@ -276,8 +263,7 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     (n_parameter,) [parameter units] of the fit.
 
     Of each response, with several also of each force, the delay is fitted beside all parameters, from the
-    best of a grid. None where the noise is not known, and where no delay explains most of what is beyond it.
-    Equation (est-delay).
+    best of a grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
     """
     if not has_noise(measured):
         return []
@@ -295,9 +281,7 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
 def _best_of_grid(
     measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray
 ) -> tuple[float, OutputError[DelayedModel], FloatArray]:
-    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and where it
-    is.
-    """
+    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and its place."""
     omega = measured.omega
     delayed = DelayedModel(expected(measured, model), late)
     problem = OutputError(measured, delayed, fit_weights(measured))
@@ -365,11 +349,9 @@ def delay_finding(
     of_fit: Iterable[tuple[str, str, float, float]],
     cure: str = "",
 ) -> Finding:
-    """The finding of a channel *name* that is late by *delay* [s] and its standard error; *reduced*:
-    chi-square per degree of freedom without and with it.
-
-    *of_fit*: name, unit, value and standard error of every parameter with the delay; *cure*: what else may
-    explain it.
+    """The finding of a channel *name* that is late by *delay* [s] with its error; *reduced*: chi-square per
+    degree of freedom without and with it; *of_fit*: name, unit, value and error of every parameter with it;
+    *cure*: what else may explain it.
     """
     changed = ", ".join(
         f"{name} = {_amount(value, unit, std_error)}"
@@ -387,8 +369,7 @@ def delay_finding(
 
 # A pipeline holds many fits of many tests, and a drift that matters is far beyond chance.
 DRIFT_P = 1e-3
-# Singular values of shapes of length 1 below which they are one shape: a common gain of all outputs is that
-# of all forces.
+# Singular values of shapes below which they are one: a common gain of all outputs is that of all forces.
 SAME_SHAPE = 1e-8
 KINDS = {"N/m": "all stiffness", "N.s/m": "all damping"}
 
@@ -399,9 +380,7 @@ _Shape = tuple[str, FloatArray]
 
 @dataclass(frozen=True)
 class _Chance:
-    """Variance of a projection on a smooth shape by noise alone [1], and the degrees of freedom that this
-    rests on.
-    """
+    """Variance of a projection on a smooth shape by noise alone [1], and its degrees of freedom."""
 
     variance: float
     dof: float
@@ -485,10 +464,7 @@ def _basis(shapes: FloatArray) -> FloatArray:
 
 
 def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chance | None:
-    """From what no shape explains.
-
-    Lines that share noise make smooth projections larger and leave fewer degrees of freedom.
-    """
+    """From what no shape explains; noise that lines share makes projections larger, with fewer degrees."""
     basis = _basis(shapes)
     rest = change - (basis @ change) @ basis
     dof = change.size - basis.shape[0]

@@ -1,11 +1,10 @@
 """What a fit of several coefficients states where its residual is not noise: intervals that include the model
 error.
 
-vec H = h(p) + D z + n on the lines of all FRFs together: n the measured noise, as large as measured or
-larger, and D z a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m
-of every response and every force (gain), z of every element of the dynamic stiffness (its law, drift), U of
-a stiffness that moves meanwhile. Courses are smooth functions of few numbers z, so that a matrix of FRFs
-costs little more than its fit.
+vec H = h(p) + D z + n on the lines of all FRFs together: n the noise, as large as measured or larger, and D z
+a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m of every response
+and every force (gain), z of every element of the dynamic stiffness (its law, drift), U of a stiffness that
+moves meanwhile. Courses are smooth functions of few numbers z.
 """
 
 from __future__ import annotations
@@ -41,9 +40,8 @@ LENGTHS: Mapping[str, FloatArray] = {
     MOVED[-2]: np.array([np.inf]),
 }
 FOLLOWED = 0.9
-# Relative size [1] of a gain curve, and of an error of the dynamic stiffness over the direct ones, that is
-# usual: an r.m.s. beyond it is the less likely. The residual of a long course is small, and its size, which
-# the coefficients follow, told by that prior alone.
+# Usual relative size [1] of a gain curve, and of an error of the dynamic stiffness over the direct ones: an
+# r.m.s. beyond it is less likely. The size of a long course is told by that prior alone.
 USUAL: Mapping[str, float] = {"m": 0.05, "z": 0.3}
 # By what the noise may be larger than measured [1]; the first is that of a sound measurement.
 LARGER = np.concatenate([[1.0], np.geomspace(1.1, 30.0, 12)])
@@ -178,9 +176,8 @@ def coefficient_error(
 
 
 def averaged_error(misfit: Misfit) -> CoefficientError | None:
-    """The average over all courses, linearised until its mean stays.
-
-    None for too few lines, or where the sums have no solution.
+    """The average over all courses, linearised until its mean stays; None for too few lines, or without
+    solution.
     """
     if misfit.omega.size < FEWEST_LINES:
         return None
@@ -291,11 +288,8 @@ class _Scene:
 
 
 def _as_large_as_it_varies(functions: FloatArray) -> FloatArray:
-    """Courses (n_line, n) [1] whose mean over the band is as large as their variation about it, and whose
-    mean square is 1.
-
-    Coefficients follow the mean, which no residual shows. That of a long course would be many times what can
-    be seen of it.
+    """Courses (n_line, n) [1] of mean square 1 whose mean over the band, which coefficients follow and no
+    residual shows, is as large as their variation about it.
     """
     varying = functions - functions.mean(axis=0)
     power = float(np.mean(np.sum(varying**2, axis=1)))
@@ -335,8 +329,8 @@ def _patterns(model: ReceptanceModel, values: FloatArray, measured: Measured) ->
 
 
 def _move(inverse: ComplexArray, stiffness: FloatArray, h: ComplexArray) -> ComplexArray:
-    """Z^-1 K Z^-1 K H, what is left of a stiffness that moves about its mean: of the whole and of each
-    direct one, (n_line, n_output, n_input, n_pattern) [m/N].
+    """Z^-1 K Z^-1 K H, what a stiffness leaves that moves about its mean: the whole and each direct one,
+    (n_line, n_output, n_input, n_pattern) [m/N].
     """
     moving = [stiffness]
     if len(stiffness) > 1:
@@ -372,9 +366,9 @@ class _Sums:
 
 @dataclass(frozen=True)
 class _Course:
-    """A course of one type, ln of its prior by amplitude (n_amplitude,) [1], with the eigenvalues (n_number,)
-    of D^H D and its eigenvectors (n_number, n_number) [1]; patterns (n_line, n_element, n_pattern), functions
-    (n_line, n_function) [1].
+    """A course of one type, ln of its prior (n_amplitude,) [1], with eigenvalues (n_number,) and eigenvectors
+    (n_number, n_number) [1] of D^H D; patterns (n_line, n_element, n_pattern), functions (n_line,
+    n_function).
     """
 
     kind: str
@@ -414,7 +408,7 @@ def _evidence(
     amplitudes: FloatArray,
     turned: ComplexArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ln of evidence and prior (n_amplitude, n_larger) [1], then shifts (n_component, n) and covariances
+    """ln of evidence and prior (n_amplitude, n_larger) [1], shifts (n_component, n) and covariances
     (n_component, n, n), amplitudes first, of noise s^2 (I + a^2 D D^H / s^2).
     """
     a, s = (part.ravel() for part in np.meshgrid(amplitudes, LARGER, indexing="ij"))

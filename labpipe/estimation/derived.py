@@ -1,6 +1,4 @@
-"""What is derived from estimates: corrections, modes, resonance, directions, reported parameters and a dense
-curve.
-"""
+"""What is derived from estimates: corrections, modes, resonance, reported parameters and a dense curve."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ DIVIDED = ("N/m", "N.s/m")
 
 @dataclass(frozen=True)
 class Estimated:
-    """Estimates (n_parameter,) with their joint covariance (n_parameter, n_parameter), by name, in *units*
-    [SI].
-    """
+    """Estimates (n_parameter,) by name, with their covariance (n_parameter, n_parameter), in *units* [SI]."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -114,9 +110,6 @@ def is_corrected(settings: FitSettings) -> bool:
     return settings.share > 1 or (settings.subtract or Support()) != Support()
 
 
-# Modes of an identified model: natural frequencies, damping ratios, mode shapes, participation; many models
-# at once.
-
 # A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the
 # largest is random.
 LEADING = 0.8
@@ -189,9 +182,6 @@ def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple
     return quantities
 
 
-# Quantities derived from the estimates: resonance, modes, direction of the force, fixed or tied
-# coefficients.
-
 # What one band is fitted with.
 BandModel = DynamicModel | FactorModel | TransferMode
 
@@ -251,10 +241,8 @@ def _damping_coefficients(model: FactorModel, values: FloatArray, settings: FitS
 def _propagated_all(
     total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int
 ) -> list[Parameter]:
-    """Functions of the estimates with their standard errors to first order, derivatives by centred
-    differences.
-
-    Values without standard errors where the functions do not exist on both sides of the estimate.
+    """Functions of the estimates with their standard errors to first order, by centred differences; without
+    errors where they do not exist on both sides of the estimate.
     """
     steps = np.maximum(STEP * np.sqrt(np.diag(total.covariance)), SMALLEST_STEP * np.abs(total.values))
     places = [total.values, total.values + np.diag(steps), total.values - np.diag(steps)]
@@ -313,8 +301,6 @@ def propagate(total: Estimated, slopes: dict[str, float]) -> float:
     gradient = np.array([slopes.get(name, 0.0) for name in total.names])
     return float(np.sqrt(max(gradient @ total.covariance @ gradient, 0.0)))
 
-
-# Reported parameters of an estimate, with standard errors where they exist.
 
 # Probability of the intervals of parameters.
 INTERVAL = 0.95
@@ -381,9 +367,7 @@ def widened_parameters(
     parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]
 ) -> tuple[Parameter, ...]:
     """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*,
-    all in the same order.
-
-    None becomes narrower: where errors of two parameters compensate, that of a derived one could.
+    all in one order; none narrower, as where errors of two parameters compensate in a derived one.
     """
     factors = [
         (after.std_error or 0.0) / (before.std_error or np.inf)
@@ -435,9 +419,6 @@ def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     return statistics.restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
 
 
-# A model between the measured lines: so many frequencies that straight lines from one to the next show its
-# resonances as they are.
-
 # Parts of the step between two lines, least number of frequencies in a band, and the largest.
 PARTS, FEWEST, MOST = 2, 200, 2000
 # Largest distance of the model from a straight line between two neighbours, as part of its size.
@@ -448,12 +429,11 @@ Model = Callable[[FloatArray], ComplexArray]
 
 
 def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    """Frequencies (n,) [Hz] from the first to the last of *lines*, all of which they hold, and the model
-    there (n, n_output, n_input).
+    """Frequencies (n,) [Hz] from the first to the last of *lines*, which are among them, and the model there
+    (n, n_output, n_input).
 
-    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model still bends by
-    more than FLATNESS from one to the next, as at a light resonance, the step is halved again, up to MOST
-    frequencies.
+    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model bends by more
+    than FLATNESS between two, as at a light resonance, the step is halved again, up to MOST frequencies.
     """
     frequency = between(lines)
     values = model(frequency)
@@ -482,17 +462,13 @@ def between(lines: FloatArray) -> FloatArray:
 
 
 def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
-    """(n - 1,) largest distance of any element from the straight line across each step, as part of its size
-    there.
-    """
+    """(n - 1,) largest distance of any element from the straight line across each step, over its size."""
     across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
     size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
     return np.asarray((across / size).max(axis=(1, 2)))
 
 
-# What no residual can show, and no number states: gains, attached masses, level of force, law of damping. It
-# counts as zero in the intervals, and is listed by name: type B of the GUM, known from elsewhere alone.
-
+# What no residual can show, and no number states, is listed by name: type B of the GUM.
 GAIN = "gain"
 
 

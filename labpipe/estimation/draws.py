@@ -1,7 +1,6 @@
 """Intervals by drawing: the fit repeated on random noise, and on drawn errors of every number that was given.
 
-JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is
-not enough.
+JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where that fails.
 """
 
 from __future__ import annotations
@@ -106,8 +105,7 @@ def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
 
 
 FEWEST_DRAWS = 200
-# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance
-# leaves of so many draws.
+# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides chance.
 ENOUGH = 0.05
 
 
@@ -166,10 +164,8 @@ def _draw(
 
 
 def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
-    """An error [unit of the uncertainty] by its distribution: limits at sqrt(3) or sqrt(6) standard
-    uncertainties, Student's t, or normal.
-
-    Equation (unc-draw).
+    """An error [unit of the uncertainty]: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t,
+    or normal. Equation (unc-draw).
     """
     if uncertainty.shape == "rectangular":
         drawn = np.sqrt(3.0) * rng.uniform(-1.0, 1.0)
@@ -188,9 +184,7 @@ def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
 
 
 def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
-    """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of
-    a scatter).
-    """
+    """The parameters whose scatter is not what first order says, beyond three standard deviations of it."""
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
     ratio = np.divide(

@@ -1,5 +1,4 @@
-"""Estimators of models linear in their parameters, as entries of the table: each with its properties, which
-code asks for by name.
+"""Estimators of models linear in their parameters, with the properties that code asks for.
 
 Every estimator is looked at when a pipeline is read, so what fits is imported by the first fit.
 """

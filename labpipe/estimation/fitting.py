@@ -60,10 +60,10 @@ def identify(
     """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
     *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held
-    against a free one; without it the intervals are those of the estimator alone, of unknown noise by the
-    scatter of every line, which studies and repeats take, at a fraction of the time. *earlier*: fits that the
-    settings name, such as the baseline of a floating bearing. Raises ConfigError where settings and
-    measurement do not fit together, FitError where the data cannot support the fit.
+    against a free one; without it, as for studies and repeats, the intervals are those of the estimator
+    alone, of unknown noise by the scatter of every line. *earlier*: fits that the settings name, such as the
+    baseline of a floating bearing. ConfigError where settings and measurement do not fit together, FitError
+    where the data cannot support the fit.
     """
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
@@ -101,7 +101,7 @@ def _diagonal_term(
 
 
 def _check_repeats(measured: FrequencyResponse, settings: FitSettings) -> None:
-    """SettingError for keys that repeats, or their absence, leave without a meaning."""
+    """SettingError for keys that have no meaning with, or without, repeats."""
     if measured.repeats is None:
         if settings.repeat_groups:
             what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
@@ -167,10 +167,7 @@ def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
 
 
 def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, BoolArray]]:
-    """Every band with its lines.
-
-    Sliding bands hold the lines from their lower edge up to, not including, the upper one.
-    """
+    """Every band with its lines; those of sliding ones go up to, not including, the upper edge."""
     frequency = response.frequency
     if settings.bands:
         return [(band, lines_in(frequency, band)) for band in settings.bands]
@@ -183,9 +180,7 @@ def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Ban
 
 @dataclass(frozen=True)
 class _BandFit:
-    """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output,
-    n_input).
-    """
+    """A fit, its model, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
 
     fit: Fit
     fitted: ComplexArray
@@ -194,10 +189,8 @@ class _BandFit:
 
 
 def _model(setup: Setup) -> derived.BandModel:
-    """The settings' model.
-
-    A transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations, and
-    residual terms beside a mode do not either.
+    """The settings' model; the residue of a transfer FRF of unknown mass, of any sign and phase, and residual
+    terms beside a mode need no linear equations.
     """
     if _may_have_residuals(setup):
         if transfer_of(setup):
@@ -219,8 +212,8 @@ def _may_have_residuals(setup: Setup) -> bool:
 def _beside_others(
     setup: Setup, measured: Measured, estimate: Estimate, band: Band
 ) -> tuple[DrivingMode, Estimate, str] | None:
-    """The mode with residual terms, its estimate and a note, where a driving point gives no mode without
-    them: None where it does, or where none comes out with them either.
+    """The mode with residual terms, its estimate and a note, where a driving point gives a mode with them
+    alone; else None.
     """
     if not _may_have_residuals(setup) or transfer_of(setup) or setup.settings.sliding is not None:
         return None
@@ -243,7 +236,7 @@ def _beside_others(
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
-    """The settings' model less the parameters that were eliminated, so that those of *names* are left."""
+    """The settings' model less the parameters that were eliminated: those of *names* are left."""
     model = _model(setup)
     for name in model.names:
         if name not in names and isinstance(model, DynamicModel):
@@ -252,7 +245,6 @@ def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
 
 
 def _estimate(measured: Measured, model: derived.BandModel, settings: FitSettings) -> Estimate:
-    """The estimate by the settings' estimator."""
     return settings.estimates.fit(measured, model, settings.weight)
 
 
@@ -321,10 +313,7 @@ def _with_budget(
     case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray, factors: Mapping[str, float]
 ) -> Budgeted:
     """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by
-    draws.
-
-    *factors* [1] by source: how much larger than stated its uncertainty counts. ConfigError for draws where
-    no number has an uncertainty.
+    draws. *factors* [1] by source: how much larger than stated its uncertainty counts.
     """
     if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
         what = "'monte_carlo' has nothing to draw: no given number has an uncertainty"
@@ -344,7 +333,6 @@ def _with_budget(
 def _parameter_findings(
     parameters: tuple[Parameter, ...], band: Band, setup: Setup, measured: Measured, *, leaking: bool
 ) -> list[Finding]:
-    """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
     of_mode = diagnostics.mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
     others = diagnostics.parameter_findings(parameters, driving=driving, held=setup.closed_loop)
@@ -364,7 +352,6 @@ def _with_honest_intervals(
     model: derived.BandModel,
     setup: Setup,
 ) -> tuple[Parameter, ...]:
-    """The parameters with the intervals that the judgement of the residual leaves them."""
     if isinstance(judgement.model_error, ModelError):
         return judgement.model_error.stated(parameters)
     if judgement.model_error is not None:
@@ -386,10 +373,9 @@ def _with_honest_intervals(
 
 @dataclass(frozen=True)
 class _Judged:
-    """An estimate whose chi-square allows for stated numbers, and the judgement of its residual.
-
-    *stated*: what these change of the residual, None without any; findings: those that the data contradict;
-    factors [1] by source: how much larger their uncertainty counts.
+    """An estimate whose chi-square allows for stated numbers, and the judgement of its residual; *stated*:
+    what these change of it, if any; findings: on those that the data contradict; factors [1] by source: how
+    much larger their uncertainty counts.
     """
 
     estimate: Estimate
@@ -400,9 +386,8 @@ class _Judged:
 
 
 def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
-    """Chi-square and judgement with every stated number where data and statements together have it.
-
-    Amplitudes alone and fits without convergence are judged as if all numbers were exact.
+    """Chi-square and judgement with every stated number where data and statements together have it; of
+    amplitudes alone and without convergence as if all numbers were exact.
     """
     estimate, settings = case.estimate, case.setup.settings
     unknown = estimate.gof.chi2_reduced is None
@@ -442,11 +427,9 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
 def _contradict(
     case: Case, uncertainties: tuple[Uncertainty, ...], assessed: Assessed
 ) -> tuple[tuple[Finding, ...], dict[str, float]]:
-    """Findings on stated numbers that the data contradict, and by what their uncertainty grows.
-
-    Where chi-square then is that of noise, or most of its excess is gone: else something other than a stated
-    number is wrong. Not in sliding bands: stiffness that changes with frequency looks like another mass
-    within a band.
+    """Findings on stated numbers that the data contradict, and by what their uncertainty grows, where
+    chi-square then is that of noise, or most of its excess is gone: else something else is wrong. Not in
+    sliding bands, where stiffness that changes with frequency looks like another mass.
     """
     settings, pulls = case.setup.settings, assessed.pulls
     before, after = case.estimate.gof.chi2_reduced, assessed.reduced
@@ -464,9 +447,8 @@ def _contradict(
 
 
 def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
-    """Stated numbers against the data, and a mass without uncertainty against a free one.
-
-    The latter for models linear in their parameters and responses of reliable phase to a force.
+    """Stated numbers against the data, and a mass without uncertainty against a free one: of models linear in
+    their parameters and responses of reliable phase to a force.
     """
     model, setup, values = case.model, case.setup, case.estimate.values
     of_base, has_error = setup.settings.kind.of_base, mass_uncertainty(setup.settings) is not None
@@ -476,19 +458,13 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
         return []
     chance = case.estimate.gof.chi2_p
     # A channel that is late makes any mass look wrong.
-    late = (
-        causes.delay_findings(case.measured, model, values)
-        if chance is not None and chance < diagnostics.MISMATCH_P
-        else []
-    )
-    return [
-        *judged.findings,
-        *(late or causes.mass_findings(case.measured, model, values, setup, judged.stated)),
-    ]
+    is_off = chance is not None and chance < diagnostics.MISMATCH_P
+    late = causes.delay_findings(case.measured, model, values) if is_off else []
+    of_mass = late or causes.mass_findings(case.measured, model, values, setup, judged.stated)
+    return [*judged.findings, *of_mass]
 
 
 def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:
-    """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
     estimate = _estimate(measured, model, setup.settings)
     if not estimate.converged:
         raise FitError("not converged")
@@ -498,9 +474,7 @@ def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[
 def _eliminate(
     measured: Measured, model: DynamicModel, estimate: Estimate, settings: FitSettings
 ) -> tuple[DynamicModel, Estimate, list[str]]:
-    """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are
-    significant.
-    """
+    """Backward elimination: the least significant parameter is set to zero until all are significant."""
     notes: list[str] = []
     while sum(term.droppable for term in model.terms) > 1:
         std_errors = np.sqrt(np.diag(estimate.covariance))
@@ -509,22 +483,19 @@ def _eliminate(
             for number, term in enumerate(model.terms)
             if term.droppable and std_errors[number] > 0
         }
-        weakest = min(t_ratios, key=lambda number: t_ratios[number], default=None)
+        weakest = min(t_ratios, key=t_ratios.__getitem__, default=None)
         if weakest is None or t_ratios[weakest] > student_limit(int(estimate.student_dof[weakest])):
             break
         name = model.terms[weakest].name
-        notes.append(
-            f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero"
-        )
+        t_ratio = f"|t| = {t_ratios[weakest]:.2f}"
+        notes.append(f"{name} was dropped as insignificant ({t_ratio}) and is taken as zero")
         model = model.fixed(name)
         estimate = _estimate(measured, model, settings)
     return model, estimate, notes
 
 
 def _curve(view: FormView, measured: Measured, fit: _BandFit, *, dense: bool) -> FittedCurve:
-    """Measured and fitted FRF in the measured form; *dense*: with the model between the lines too, so close
-    that no resonance is cut off.
-    """
+    """Measured and fitted FRF in the measured form; *dense*: with the model between the lines too."""
     frequency = measured.omega / (2 * np.pi)
     factor = view.factor(frequency)[:, None, None]
     variance = measured.variance

@@ -38,8 +38,8 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
     """The fits of one name, that of the highest level with a finding where it differs from that of the lowest
     by more than noise.
 
-    *conditions* of every test by its name. Tests are compared whose conditions are the same but for the
-    level, bands and terms alike. Equation (est-levels).
+    *conditions* of every test by its name: compared are tests, bands and terms alike but for the level.
+    Equation (est-levels).
     """
     groups: dict[tuple[object, ...], list[_Test]] = {}
     for fit in fits:
@@ -67,9 +67,7 @@ def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
 
 
 def _difference(low: _Test, high: _Test) -> str:
-    """What changed, or nothing where noise explains it: by one factor of all stiffness, of all damping, or
-    coefficient by coefficient.
-    """
+    """What changed beyond noise, if anything: all stiffness, all damping, or coefficient by coefficient."""
     before, after = _estimates(low.fit), _estimates(high.fit)
     if not before or [parameter.name for parameter in before] != [parameter.name for parameter in after]:
         return ""
@@ -102,10 +100,7 @@ def _estimates(fit: Fit) -> list[Parameter]:
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
-    """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise.
-
-    Given numbers are the same at both levels.
-    """
+    """Covariance (n, n) of the estimates with model error; given numbers are the same at both levels."""
     errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
     by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:

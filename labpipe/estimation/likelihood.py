@@ -53,9 +53,8 @@ def starts(
     """The start of the lowest chi-square, then others: the last pass, plain least squares, the first pass.
 
     Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate
-    (Sanathanan and Koerner 1963) makes it nearly an output error and needs no good start. It ends after two
-    successive passes with hardly lower chi-square, or where by the *p_value* of chi-square, of a known noise,
-    noise explains the residual: the minimum is near.
+    (Sanathanan and Koerner 1963) makes it nearly an output error. It ends after two successive passes with
+    hardly lower chi-square, or where by the *p_value* of chi-square noise explains the residual.
     """
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
@@ -101,10 +100,7 @@ def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArr
 
 
 def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
-    """The same from products line by line, without weights and Z_last^-1 where there is no *last*.
-
-    None where they are too inexact.
-    """
+    """The same from products line by line, without weights and Z_last^-1 if no *last*; None if inexact."""
     measured, linear = problem.measured, problem.model.linear
     weights = problem.weights
     if last is None:
@@ -289,8 +285,7 @@ def assess(
     pulls = None
     if stated is not None:
         jacobian, residual = problem.jacobian(values), problem.residual(values)
-        # An estimate other than ml is no minimum: what the parameters would still take away says nothing of
-        # stated numbers.
+        # Of another estimate than ml, what the parameters would still take away says nothing of the numbers.
         residual = residual - jacobian @ (inverse @ (jacobian.T @ residual))
         larger = float(np.max(np.diag(covariance) / np.diag(inverse)))
         pulls = pulls_of(residual, stated, jacobian, inverse, larger)
@@ -302,11 +297,7 @@ def assess(
 def _best_minimum(
     problem: OutputError[ResponseModel], p_value: Callable[[float], float] | None, most_steps: int
 ) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts.
-
-    Further starts only where the *p_value* of the last minimum's chi-square, of a known noise, makes it
-    suspect.
-    """
+    """The lowest minimum of the starts; further ones only where *p_value* makes the last minimum suspect."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem, p_value):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)

@@ -1,8 +1,7 @@
 """A residual that is not noise, and the intervals that hold in spite of it.
 
-The residual is judged at the minimum of the output error, whatever the estimator: by chi-square where the
-noise is known, else by its structure. Where it is not noise, the model error is averaged over what may be
-wrong, and stands in values and intervals.
+It is judged at the minimum of the output error, whatever the estimator: by chi-square where the noise is
+known, else by its structure. Where it is not noise, the model error stands in values and intervals.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ FEW_DRAWS = 299
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
 # A line is left out by so much more variance; of fewer lines one is too large a part. It is named with so
-# many hertz to either side, and where it is a multiple of the mains' frequency [Hz].
+# many hertz to either side, and as a multiple of the mains' frequency [Hz].
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
 
@@ -52,10 +51,8 @@ NOT_JUDGED = Finding(
 
 @dataclass(frozen=True)
 class Judgement:
-    """Findings on a residual, and what its intervals become.
-
-    *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise
-    hold. *model_error*: what stands in values and intervals.
+    """Findings on a residual; the *covariance* (n_parameter, n_parameter) [parameter units] that intervals
+    allow for, None where those of noise hold; the *model_error* that stands in values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -65,8 +62,8 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Minimum:
-    """A fit of the output error judged: its minimum, its uncertainty, and the residual's p-value and
-    structure (of unknown noise alone).
+    """A minimum of the output error, its uncertainty, the residual's p-value and, of unknown noise,
+    structure.
     """
 
     problem: OutputError[ReceptanceModel]
@@ -78,10 +75,8 @@ class _Minimum:
 
 @dataclass(frozen=True)
 class _Judge:
-    """Judges minima of the output error of one measurement.
-
-    *n_band*: bands that share the chance of a false alarm; *leaking*: a finding says that blocks are short;
-    *stated*: numbers that the judgement allows for; *factor*: the excess over the measured noise, or None.
+    """Judges minima of the output error of one measurement; the parameters of `judge`, and *factor*: the
+    excess over the measured noise, or None.
     """
 
     measured: Measured
@@ -94,19 +89,14 @@ class _Judge:
     factor: float | None
 
     def finding(self, text: str, remedy: str) -> tuple[Finding, ...]:
-        """The finding in words: leakage of short blocks looks like a wrong model, and a narrower band would
-        not help.
-        """
+        """The finding: leakage of short blocks looks like a wrong model; a narrower band would not help."""
         if self.leaking:
             text = f"leakage of the short blocks, or a wrong model: {text}"
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
         return (Finding("model-mismatch", f"{text}. {remedy}"),)
 
     def minimum(self, model: ReceptanceModel, start: FloatArray) -> _Minimum | None:
-        """The minimum from *start* (n_parameter,) [parameter units].
-
-        None where there is none, or it cannot be judged.
-        """
+        """The minimum from *start* (n_parameter,); None where there is none, or it cannot be judged."""
         problem: OutputError[ReceptanceModel] = OutputError(self.measured, model, self._whitener)
         try:
             minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
@@ -132,8 +122,7 @@ class _Judge:
         size = np.abs(self.measured.matrix).reshape(self.measured.omega.size, -1)
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         if self.stated is not None:
-            # What stated numbers change is no structure of a wrong model, of whatever size: the noise that
-            # would limit it is not known.
+            # What stated numbers change is no structure of a wrong model, of whatever size.
             jacobian = orthonormal(np.column_stack([jacobian, self.stated.changes.T]))
             residual = residual - jacobian @ (jacobian.T @ residual)
         return residual_structure(residual, jacobian, size, null)
@@ -197,7 +186,7 @@ def judge(
 
 
 def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
-    """The model is right: what another estimator than ml is away from it is its bias."""
+    """The model is right: what another estimator is away from ml is its bias."""
     estimate, estimator = judged.estimate, judged.settings.estimator
     away = best.values - estimate.values
     errors = np.sqrt(np.diag(estimate.covariance))
@@ -214,9 +203,9 @@ def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def by_lines(case: Case) -> Estimate:
-    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown:
-    what grows with the response is largest where the lines say most of damping, and its mean over the band is
-    too small there. As it is where lines share noise, and of another estimator.
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown: if
+    it grows with the response, its mean over the band is too small where the lines say most of damping. As it
+    is where lines share noise, and of another estimator.
     """
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
     if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
@@ -247,9 +236,7 @@ def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
-    """One line alone is what the model does not follow, as a hum that repeats with the periods leaves it;
-    None where the fit without it is not good either.
-    """
+    """One line alone is off, as by a hum that repeats with the periods; None where others are as well."""
     measured, estimate = judged.measured, judged.estimate
     n_line = measured.omega.size
     if best.structure is not None or measured.covariance is None or measured.noise is not None:
@@ -325,9 +312,8 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
 
 
 def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
-    """No model error can be told from the coefficients: the excess over the noise is counted as noise.
-
-    Where the noise is not known, it is that of the residual, and neighbours that are alike count as one.
+    """No model error can be told from the coefficients: the excess over the noise is counted as noise; of
+    unknown noise, that of the residual, neighbours that are alike count as one.
     """
     away = best.values - judged.estimate.values
     if best.structure is None:
@@ -344,16 +330,13 @@ def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) -> Judgement:
-    """The excess over the measured noise taken as noise, and the distance *away* of another estimator from ml
-    beside it.
-    """
+    """The excess over the measured noise taken as noise, beside the distance *away* from ml."""
     assert gof.chi2_reduced is not None
     estimate, estimator = judged.estimate, judged.settings.estimator
     covariance = gof.chi2_reduced * estimate.covariance
     if away is not None:
         covariance = _with_distance(covariance, away)
-    # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
-    # well.
+    # Equation errors exceed the noise for a correct model as well.
     biased = "" if judged.settings.estimates.unbiased else f", or {estimator} is biased"
     text = (
         f"{excess_text(gof.chi2_reduced, gof.chi2_p)}: the model is incomplete{biased}. "
@@ -374,9 +357,7 @@ def _wording(best: _Minimum) -> str:
 
 
 def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
-    """The covariance (n, n) with the distance (n,) between two fits counted as one standard error, wholly
-    correlated.
-    """
+    """The covariance (n, n) with the distance (n,) of two fits as one standard error, wholly correlated."""
     return covariance + np.outer(away, away)
 
 
@@ -387,7 +368,6 @@ def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
 
 
 def _growth(estimate: Estimate, covariance: FloatArray) -> str:
-    """By how much the intervals are wider than those of noise alone."""
     before, after = np.sqrt(np.diag(estimate.covariance)), np.sqrt(np.diag(covariance))
     factors = after[before > 0] / before[before > 0]
     if not factors.size:

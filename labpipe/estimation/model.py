@@ -25,10 +25,9 @@ CACHED_ELEMENTS = 1 << 16
 
 @dataclass(frozen=True)
 class Matrices:
-    """Contribution of one parameter (or of all constants) to the equation of motion.
-
-    stiffness K [N/m] (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force
-    B (n_dof, n_input) [1].
+    """Contribution of one parameter (or of all constants) to the equation of motion: stiffness K [N/m]
+    (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof,
+    n_input) [1].
     """
 
     stiffness: FloatArray
@@ -54,10 +53,8 @@ def no_matrices(n_dof: int, n_input: int) -> Matrices:
 
 @dataclass(frozen=True)
 class Term:
-    """One parameter of a model and its matrices.
-
-    *droppable*: True if backward elimination may set it to zero. *aliases*: further coefficients tied to its
-    value.
+    """One parameter of a model and its matrices; *droppable*: backward elimination may set it to zero;
+    *aliases*: further coefficients tied to its value.
     """
 
     name: str
@@ -104,10 +101,8 @@ class ResponseModel(FittedModel, Protocol):
 @dataclass(frozen=True)
 class ActingTerms:
     """The terms that have a matrix of one kind: their *place* among all, their *matrices* as columns
-    (n_element, n_acting) [unit of the kind].
-
-    *single*: the only element of each, (n_acting,), where all have only one; *plain*: all elements in order,
-    factor 1.
+    (n_element, n_acting) [unit of the kind]; *single*: the only element of each, (n_acting,), where all have
+    one; *plain*: all elements in order, factor 1.
     """
 
     place: IntArray | slice
@@ -117,10 +112,7 @@ class ActingTerms:
 
     @classmethod
     def of(cls, rows: FloatArray) -> ActingTerms | None:
-        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind].
-
-        None where all are zero.
-        """
+        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind]; None if all zero."""
         there = np.flatnonzero(np.any(rows != 0, axis=1))
         if there.size == 0:
             return None
@@ -132,10 +124,7 @@ class ActingTerms:
         return cls(place, matrices, single, np.array_equal(matrices, np.eye(there.size)))
 
     def combined(self, elements: ComplexArray) -> ComplexArray:
-        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit].
-
-        Picked where every term has only one element.
-        """
+        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit], picked where terms have one."""
         if self.plain:
             return elements
         if self.single is not None:
@@ -247,9 +236,8 @@ class DynamicModel:
             slopes[..., acting.place] += moved
 
     def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
-        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one inverse per line.
-
-        There are many sides, and a product with the small inverse costs a fraction of solving for them.
+        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N]; of many, one inverse per line is
+        cheaper than solving.
         """
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
@@ -284,9 +272,7 @@ class DynamicModel:
 
     @cached_property
     def _joined(self) -> FloatArray:
-        """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product
-        gives their sum.
-        """
+        """K, C, M and B of every term and of the constants as rows, whose sum is one matrix product."""
         every = (*(term.matrices for term in self.terms), self.constant)
         parts = [(m.stiffness, m.damping, m.mass, m.force) for m in every]
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
@@ -310,8 +296,7 @@ class DynamicModel:
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s].
-
+    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s];
     FitError where Z is singular.
     """
     return _regular(np.linalg.inv, model.dynamic_stiffness(parameters, omega))
@@ -345,9 +330,7 @@ UNITS = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}
 
 @dataclass(frozen=True)
 class Setup:
-    """What a model needs to know of the measurement: its ports, whether in a closed loop, and the fit's
-    settings.
-    """
+    """What a model needs to know: ports of a measurement, maybe in a closed loop, and the fit's settings."""
 
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
@@ -397,9 +380,8 @@ def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
     for group in settings.tied:
         model = _tie(model, group)
     if not model.terms:
-        raise ConfigError(
-            "every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`"
-        )
+        what = "every coefficient is fixed, so nothing is left to estimate"
+        raise ConfigError(what, hint="shorten `fixed`")
     return model
 
 
@@ -408,10 +390,8 @@ def _tie(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
         _check_names(model, name, "tied")
     units = {term.unit for term in model.terms if term.name in group}
     if len(set(group)) < 2 or len(units) > 1:
-        raise ConfigError(
-            f"tied: {', '.join(group)} cannot have one value",
-            hint="name two or more coefficients of one unit",
-        )
+        what = f"tied: {', '.join(group)} cannot have one value"
+        raise ConfigError(what, hint="name two or more coefficients of one unit")
     return model.tied(group)
 
 

@@ -21,13 +21,12 @@ from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
 from labpipe.records.finding import NORMAL, Discrepancy, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 
-# Lines beyond which neighbours are averaged, those around the resonance alone, to this many half-power widths
-# on either side.
+# Lines beyond which neighbours are averaged, to so many half-power widths on either side of the resonance.
 MOST_LINES, REACH = 400, 8.0
 # Lines in a half-power width that averaging leaves.
 LINES_IN_WIDTH = 8
 FEWEST_NEAR = 60
-# What a type of discrepancy, or a member of the ladder, is in words.
+# Types of discrepancy in words.
 WORDS = {
     "a": "other modes",
     "m": "gain curve",
@@ -55,10 +54,9 @@ class StatedRow:
 
 @dataclass(frozen=True)
 class ModelError:
-    """The mixture of a fit, and its parameters by name as rows of it.
-
-    apart: mean and ends of the logarithm of parameters of a mode that differs from point to point, which the
-    interval holds as well; *unloaded*: they are those without what moves, and count alone.
+    """The mixture of a fit, and its parameters by name as rows of it; apart: mean and ends of the logarithm
+    of a mode's parameters that differ from point to point, in the interval as well; *unloaded*: they are
+    those without what moves, and count alone.
     """
 
     mixture: Mixture
@@ -96,11 +94,8 @@ class ModelError:
         return float((high - low) / (2 * NORMAL * np.sqrt(row @ self.mixture.noise @ row)))
 
     def stated(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-        """The parameters with values and intervals of the mixture; those that it does not tell keep their
-        value, without an interval.
-
-        The value is the mixture's mean: an interval around another value would not hold it. std_error stays
-        that of noise.
+        """The parameters with means and intervals of the mixture, and std_error of noise; those that it does
+        not tell keep their value, without an interval.
         """
         return tuple(self._statement(parameter) for parameter in parameters)
 
@@ -113,7 +108,7 @@ class ModelError:
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
         if apart is not None:
-            # Both are explanations: the interval holds either, but for a stated mass.
+            # The interval holds either, but for a stated mass.
             first = self.unloaded or apart[2] - apart[1] > high - low
             centre, reason = (apart[0], self.likely) if first else (centre, reason)
             low, high = apart[1:] if self.unloaded else (min(low, apart[1]), max(high, apart[2]))
@@ -170,12 +165,10 @@ def _cause(share: str) -> str:
 def model_error(
     measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings
 ) -> ModelError | None:
-    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None
-    where it is of another kind.
+    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None for
+    another kind, a band too narrow for its width, and random data whose leakage the fit models.
 
-    The noise is the measured one; where it is not known, that of neighbouring lines of the residual: the
-    scatter of its second differences. None too where the band is too narrow for its width, and for random
-    data whose leakage the fit models.
+    Unknown noise is the scatter of the residual's second differences.
     """
     if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
         return None
@@ -202,9 +195,7 @@ def model_error(
 
 @dataclass(frozen=True)
 class _Built:
-    """A mode without its curve, the shape parameters (n_shape,) to start from, what its parameters are, and
-    the *force* that h is over.
-    """
+    """A mode without its curve, its *start* (n_shape,), what its parameters are, the *force* h is over."""
 
     mode: ModeModel
     start: FloatArray
@@ -217,9 +208,7 @@ _NO_CURVE = Curve(np.arange(2.0), np.zeros(2, np.complex128), np.ones(2))
 
 
 def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
-    """The mode that a model is, None where it is another: several coefficients, a law of damping, signs
-    without a resonance.
-    """
+    """The mode that a model is; None of several coefficients, a law of damping, signs without a resonance."""
     by_name = dict(zip(model.names, map(float, values), strict=True))
     if isinstance(model, DrivingMode):
         # k, c and m beside a constant.
@@ -274,8 +263,8 @@ def _transfer(by_name: dict[str, float]) -> _Built:
 
 
 def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
-    """At most about MOST_LINES lines of a *curve*: those around the *mode* as at *start* (n,) [1], then
-    means of neighbours as far as these leave its peak as it is.
+    """About MOST_LINES lines of a *curve* at most: those around the *mode* as at *start* (n,) [1], then means
+    of neighbours that leave its peak as it is.
     """
     if curve.frequency.size <= MOST_LINES:
         return curve

@@ -53,10 +53,8 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
 
 
 def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), degrees of
-    freedom (n_parameter,).
-
-    Degrees of freedom are those of the regression of each parameter. Raises FitError as solve_scaled does.
+    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), and degrees of
+    freedom (n_parameter,) of each parameter's regression; FitError as of solve_scaled.
     """
     n_parameter = len(model.terms)
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
@@ -122,10 +120,8 @@ class Regression:
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
     """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
     if measured.n_equation <= len(model.terms):
-        raise FitError(
-            f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters",
-            hint="widen the band",
-        )
+        what = f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters"
+        raise FitError(what, hint="widen the band")
     weights = line_weights(measured, weight)
     terms = model.equation_terms(measured.matrix, measured.omega)
     right_side = model.equation_constant(measured.matrix, measured.omega)
@@ -135,24 +131,22 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
 
 
 def line_weights(measured: Measured, weight: str) -> FloatArray:
-    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s /
-    |H| in the equation of motion.
+    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s / |H| in the
+    equation of motion.
 
     FitError for an unknown or zero noise. Equation (est-line-weights).
     """
     if weight == "none":
         return np.ones(measured.omega.size)
     if not has_noise(measured):
-        raise FitError(
-            "the noise of the FRF is not known, so lines cannot be weighted by it", hint="leave `weight` out"
-        )
+        what = "the noise of the FRF is not known, so lines cannot be weighted by it"
+        raise FitError(what, hint="leave `weight` out")
     assert measured.covariance is not None
     size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
-        raise FitError(
-            "a line of the FRF has no noise, so lines cannot be weighted by it", hint="leave `weight` out"
-        )
+        what = "a line of the FRF has no noise, so lines cannot be weighted by it"
+        raise FitError(what, hint="leave `weight` out")
     weights: FloatArray = size / noise
     return weights / float(np.max(weights))
 
@@ -160,9 +154,8 @@ def line_weights(measured: Measured, weight: str) -> FloatArray:
 def output_chi_square(
     measured: Measured, model: DynamicModel, values: FloatArray, dof: int
 ) -> tuple[float | None, float | None]:
-    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,).
-
-    None for an unknown noise.
+    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,),
+    if the noise is known.
     """
     if not has_noise(measured):
         return None, None
@@ -178,10 +171,8 @@ def output_chi_square(
 def _plain_design(
     measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Design matrix for the test of collinearity, and its amplification: measured or fitted model's,
-    whichever is worse.
-
-    Noise in the measured FRF makes collinear columns appear different; the model's FRF has none.
+    """Design matrix for the test of collinearity, and its amplification: of the measured FRF, whose noise
+    makes collinear columns differ, or of the model's, whichever is worse.
     """
     designs = [noisy_terms]
     with contextlib.suppress(FitError):
@@ -204,9 +195,7 @@ def equation_design(
 
 
 def triangle_of(columns: FloatArray) -> FloatArray:
-    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to
-    length 1.
-    """
+    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter), scaled."""
     return scaled_triangle(columns)[1]
 
 
@@ -281,13 +270,12 @@ def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int
     return [group for group in groups if group[1]]
 
 
-# iv: instrumental variables, with the regressors of the fitted model's noise-free FRF as instruments (Young
-# 1970).
+# iv: instrumental variables, the regressors of the fitted model's noise-free FRF (Young 1970).
 
 MAX_ITERATIONS = 25
 TOLERANCE = 1e-4
-# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is
-# above 0.39 for good fits and below 0.2 where the iteration diverges to a model unrelated to the data.
+# Smallest canonical correlation between instruments and regressors: in trials above 0.39 for good fits, and
+# below 0.2 where the iteration diverges to a model unrelated to the data.
 WEAKEST_INSTRUMENTS = 0.3
 BREAKDOWN_NOTE = (
     "iv broke down: the fitted model's FRF hardly resembles the measured one (smallest canonical "
@@ -375,9 +363,7 @@ def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
 def _sandwich(
     measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by
-    line (White).
-    """
+    """Covariance of the estimate from the noise of the FRF or, if unknown, from the residual (White)."""
     scores = _scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ equation.rows.T)
@@ -388,9 +374,7 @@ def _sandwich(
 def _scores(
     measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it
-    in the real part.
-    """
+    """V^T Omega V of the equation's error, Omega = (Z x I) cov(dH) (Z x I)^H, half of it in the real part."""
     assert measured.covariance is not None
     n_line, n_output, n_input = measured.matrix.shape
     z = model.dynamic_stiffness(values, measured.omega) * equation.line_weights[:, None, None]

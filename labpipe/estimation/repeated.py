@@ -1,6 +1,6 @@
-"""A test of several recordings, or of several hits, of the same FRFs: each is fitted alone, and the
-parameters are means of these repeats, with the part between them and the model error that all of them share.
-Where they follow the level of the force, they are stated at the middle one; where they drift, in the middle.
+"""A test of several recordings, or hits, of the same FRFs: each is fitted alone, and the parameters are means
+of these repeats, with the part between them and the model error that they share. Where they follow the level
+of the force, they are stated at the middle one; where they drift, in the middle.
 """
 
 from __future__ import annotations
@@ -120,11 +120,9 @@ def over_repeats(
 
 
 def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
-    """The *fit* with every mode under the number of the mode of *pooled* that is nearest in frequency.
-
-    A repeat may not show all of them. Modes far from all lose their parameters.
+    """The *fit* with every mode under the number of the mode of *pooled* that is nearest in frequency; modes
+    far from all of them lose their parameters.
     """
-
     values = {parameter.name: parameter.value for parameter in pooled.parameters}
     ours, theirs = (
         {
@@ -173,7 +171,6 @@ class _Values:
 
 
 def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
-    """A fit of all recordings with its parameters as means over *repeats*, those at *places*."""
     recordings = [test.response.repeat_names[place] for place in places]
     by_name = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats]
     names = [
@@ -235,9 +232,7 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
 
 @dataclass(frozen=True)
 class _Course:
-    """What values follow, *of* LEVEL or ORDER: the *covariate* (n_used,) [1], 0 where they are stated, *at*
-    that level or place.
-    """
+    """What values follow, *of* LEVEL or ORDER: the *covariate* (n_used,) [1], 0 where stated, *at*."""
 
     of: str
     covariate: FloatArray
@@ -247,8 +242,8 @@ class _Course:
 def _course(
     levels: FloatArray | None, judged: Sequence[_Values], groups: Sequence[str]
 ) -> tuple[Kept, _Course | None]:
-    """Which repeats are used, and what is *judged* follows: their *levels* (n,) over the middle one less 1,
-    else their order, from -1/2 to 1/2; None where neither, or where *groups* are named.
+    """Which repeats are used, and what *judged* follows: their *levels* (n,) over the middle one less 1, else
+    their order, from -1/2 to 1/2; None where neither, or of named *groups*.
     """
     values, variances = (
         np.stack([getattr(of, part) for of in judged], axis=1) for part in ("values", "variances")
@@ -272,8 +267,8 @@ def _usable(parameter: Parameter | None) -> bool:
 
 
 def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> float:
-    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else twice that of the repeats or their
-    noise, whichever is larger. *parameter* of all together, whose noise is that between the repeats.
+    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else twice the scatter of the repeats or
+    their noise, also that of the *parameter* of all together.
     """
     name = parameter.name
     if of.log and name.startswith(FREQUENCY):
@@ -286,8 +281,8 @@ def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> fl
 
 
 def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter, ...]:
-    """The parameters of the aligned mean: residuals of all repeats on the curve of the pooled fit, which hold
-    the model error that they share and no longer what moved between them.
+    """The parameters of the aligned mean: the mean residual of all repeats on the curve of the pooled fit has
+    the model error that they share, and no longer what moved between them.
     """
     curves = [fit.curve for fit in repeats if fit.curve is not None]
     if pooled.curve is None or len(curves) < len(repeats):
@@ -306,9 +301,8 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
 def _align(
     pooled: FittedCurve, curves: Sequence[FittedCurve], response: FrequencyResponse
 ) -> FrequencyResponse | None:
-    """The curve of the pooled fit and the mean residual of its repeats, with the scatter of that.
-
-    None where a result shows a part of the FRFs only, or where there is no scatter.
+    """The curve of the pooled fit and the mean residual of its repeats, with the scatter of that; None of a
+    part of the FRFs, or without scatter.
     """
     outputs = tuple(port for port in response.outputs if port.label in pooled.outputs)
     inputs = tuple(port for port in response.inputs if port.label in pooled.inputs)
@@ -350,8 +344,8 @@ def _statement(
     summary: Repeats,
     aside: Sequence[Parameter] = (),
 ) -> Parameter:
-    """The mean with the hull of its own interval, that with the model error that all repeats share, and the
-    first or last repeat *aside*, which may be another state.
+    """The mean with the hull of its interval, that with the shared model error, and the first or last repeat
+    *aside*, which may be another state.
     """
     shift, extra = _common_part(common, log=of.log)
     between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))

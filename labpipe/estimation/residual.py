@@ -73,19 +73,15 @@ def jackknife_residual(leverage: FloatArray, residual: FloatArray) -> FloatArray
 
 
 def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
-    """Columns (n_equation, n) as (n_line, n_equation / n_line, n): the real and imaginary parts of one line
-    together.
-    """
+    """Columns (n_equation, n) by line, (n_line, n_equation / n_line, n)."""
     n = columns.shape[1]
     return columns.reshape(2, n_line, -1, n).swapaxes(0, 1).reshape(n_line, -1, n)
 
 
 def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
-    """Number of lines that determine each variance, (n_parameter,) [1]: by the model's slopes and by the
-    shares seen, whichever is less.
-
-    (sum v)^2 / sum v^2 of the variances v of the shares, (n_line, n_parameter); normal shares g have E g^4 =
-    3 v^2. A residual of zero has no shares.
+    """Number of lines that determine each variance, (n_parameter,) [1], by the model's slopes and by the
+    shares seen: (sum v)^2 / sum v^2 of their variances v, (n_line, n_parameter); normal ones have E g^4 =
+    3 v^2.
     """
     by_slopes = np.sum(influence, axis=0) ** 2 / np.sum(influence**2, axis=0)
     fourth = np.sum(squares**2, axis=0)
@@ -165,9 +161,7 @@ def residual_structure(
 
 
 def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
-    """Root of the power along the lines (n_line, n_element) [1]: the mean one, or a + b *size*^2 by least
-    squares, both at least 0.
-    """
+    """Root of the power along the lines (n_line, n_element) [1]: the mean, or a + b *size*^2, both >= 0."""
     power = np.abs(errors) ** 2
     mean = np.mean(power, axis=0)
     if size is None:
@@ -189,10 +183,8 @@ def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) 
 
 
 def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) -> FloatArray:
-    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large,
-    whatever their size.
-
-    *size* (n_line, n_element) [m/N]; *smooth* (n_line, n_curve) [1]: curves that are looked for.
+    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large, of any
+    size; *size* (n_line, n_element) [m/N], *smooth* (n_line, n_curve) [1].
     """
     scaled = residual / np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
     lags = [np.abs(np.sum(scaled[d:] * scaled[:-d].conj(), axis=0)) ** 2 for d in range(1, LAGS + 1)]
@@ -205,9 +197,7 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
-    """The least p-value of the statistics *observed* (4,), against the least ones of the draws (n_draw,
-    4).
-    """
+    """The least p-value of *observed* statistics (4,), against the least ones of the draws (n_draw, 4)."""
     n_draw = draws.shape[0]
     p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)

@@ -241,7 +241,7 @@ def test_repeats_are_written_and_read(tmp_path: Path) -> None:
 
 def test_an_interval_reaches_as_far_as_numbers_do() -> None:
     """A logarithm known to 2.4 +- 800: exp(710) is no number any more, and nothing is said of it."""
-    mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0), np.zeros(2))
+    mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0))
     damping = Parameter("c", 11.0, "N.s/m", std_error=0.1, ci95=(10.8, 11.2))
     of = _Values(np.log([10.0, 12.0]), np.full(2, 1e-4), log=True)
     found = _statement(damping, mean, of, None, 1, Repeats(2, 2, 0.1, ()))
