@@ -37,7 +37,7 @@ from labpipe.estimation.weights import (
     whitener,
 )
 from labpipe.records import uncertain
-from labpipe.records.finding import Contribution, Parameter
+from labpipe.records.finding import Contribution, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
@@ -187,11 +187,6 @@ def _residual_changes(
     return _slopes(case, sources, residual)
 
 
-def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
-    """A fit of k and c in proportion to the given mass, with what its uncertainty adds, if any."""
-    return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
-
-
 def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
     """The given mass as a source of stiffness and damping in proportion to it; none without uncertainty."""
     mass = mass_uncertainty(settings)
@@ -234,9 +229,21 @@ def with_contributions(fit: Fit, coverage: float) -> Fit:
     uncertain. *coverage* [1]: probability of the expanded one, by Student's t with the effective degrees of
     freedom.
     """
-    if fit.budget is None:
-        return fit
-    return replace(fit, parameters=contribute(fit.parameters, fit.budget, coverage))
+    stated = fit.parameters if fit.budget is None else contribute(fit.parameters, fit.budget, coverage)
+    return replace(fit, parameters=tuple(map(_with_interval_parts, stated)))
+
+
+def _with_interval_parts(parameter: Parameter) -> Parameter:
+    """What is neither noise, repeats nor given numbers in an interval is model error."""
+    noise, systematic = parameter.std_error, parameter.systematic or 0.0
+    if noise is None or parameter.ci95 is None:
+        return parameter
+    repeats = 0.0 if parameter.interval is None else parameter.interval.repeats
+    full = parameter.full_error or noise
+    rest = max(full**2 - noise**2 - systematic**2 - repeats**2, 0.0)
+    # What rounding leaves of equal squares is no model error.
+    discrepancy = float(np.sqrt(rest)) if rest > 1e-9 * full**2 else 0.0
+    return replace(parameter, interval=IntervalParts(noise, discrepancy, repeats, systematic))
 
 
 def contribute(

@@ -19,7 +19,6 @@ from labpipe.estimation.budget import (
     most_likely,
     sources_of,
     with_contributions,
-    with_given_mass,
 )
 from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
@@ -30,7 +29,7 @@ from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
-from labpipe.estimation.model_error import ModelError, with_interval_parts
+from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
@@ -82,9 +81,7 @@ def identify(
             derived.with_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
             for fit in fits
         )
-    if settings.kind.times_mass:
-        fits = tuple(with_given_mass(fit, settings) for fit in fits)
-    return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
+    return tuple(with_contributions(fit, settings.coverage) for fit in fits)
 
 
 def _diagonal_term(

@@ -19,7 +19,6 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import restated
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
 from labpipe.records.finding import NORMAL, Discrepancy, IntervalParts, Parameter
-from labpipe.records.identification import Fit
 
 # Lines beyond which neighbours are averaged, to so many half-power widths on either side of the resonance.
 MOST_LINES, REACH = 400, 8.0
@@ -279,20 +278,3 @@ def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
     groups = curve.frequency[: curve.frequency.size // together * together].reshape(-1, together)
     values, std = (part[: groups.size].reshape(-1, together) for part in (curve.values, curve.std))
     return Curve(groups.mean(axis=1), values.mean(axis=1), np.sqrt(np.sum(std**2, axis=1)) / together)
-
-
-def with_interval_parts(fit: Fit) -> Fit:
-    """The fit with the parts of every interval: what is neither noise nor given numbers is model error."""
-    return replace(fit, parameters=tuple(_with_parts(parameter) for parameter in fit.parameters))
-
-
-def _with_parts(parameter: Parameter) -> Parameter:
-    noise, systematic = parameter.std_error, parameter.systematic or 0.0
-    if noise is None or parameter.ci95 is None:
-        return parameter
-    repeats = 0.0 if parameter.interval is None else parameter.interval.repeats
-    full = parameter.full_error or noise
-    rest = max(full**2 - noise**2 - systematic**2 - repeats**2, 0.0)
-    # What rounding leaves of equal squares is no model error.
-    discrepancy = float(np.sqrt(rest)) if rest > 1e-9 * full**2 else 0.0
-    return replace(parameter, interval=IntervalParts(noise, discrepancy, repeats, systematic))

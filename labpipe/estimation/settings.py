@@ -38,7 +38,7 @@ class ModelKind:
     fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak.
     section: key of the model's own *settings* in a fit, and an *example* of it, *optional* where all have
     defaults. earlier: name of the fit whose result this one begins with, or empty; begin: the settings with
-    that result among *fits*. times_mass: stiffness and damping are the given mass times what is fitted.
+    that result among *fits*.
 
     keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood:
     those that only an estimator by likelihood takes. estimators: names of those that fit it; empty: any.
@@ -59,7 +59,6 @@ class ModelKind:
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of_repeat: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of: str = RESPONSES
-    times_mass: bool = False
     keys: tuple[str, ...] = ("mass", "input", "output", "bands")
     by_likelihood: tuple[str, ...] = ()
     estimators: tuple[str, ...] = ()
