@@ -21,7 +21,7 @@ from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Unstated
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.settings import COEFFICIENT_UNITS, ESTIMATE
+from labpipe.records.settings import COEFFICIENT_UNITS
 from labpipe.records.uncertain import Budget
 from labpipe.spectra.convert import TRANSMISSIBILITY
 
@@ -478,7 +478,7 @@ def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) 
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]
     of_base = response.form == TRANSMISSIBILITY
     entries = list(_gains(ports, settings, of_base=of_base))
-    if settings.mass == ESTIMATE and not of_base:
+    if settings.frees_mass and not of_base:
         what = "m by m_t; f_n and zeta of the structure alone by m_t / 2 m of themselves"
         entries.append(Unstated("mass m_t of what is attached to the structure", what))
     what = "what changes with the amplitude: repeat the test at half the force"
@@ -495,7 +495,7 @@ def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> It
     what = "gain of " + ", ".join(dict.fromkeys(silent))
     if of_base:
         yield Unstated(what, "k and c by about as much")
-    elif settings.mass == ESTIMATE:
+    elif settings.frees_mass:
         yield Unstated(what, "k, c and m each by as much; f_n and zeta not at all")
     else:
         yield Unstated(what, "the resonance against the given mass: c by as much, k less near resonance")
@@ -505,5 +505,5 @@ def _law(fit: Fit, settings: FitSettings) -> Iterator[Unstated]:
     """k - m w^2 is what a resonance shows: the split follows the law of damping."""
     values = {parameter.name: parameter.value for parameter in fit.parameters}
     zeta = values.get("zeta")
-    if settings.damping == VISCOUS and settings.mass == ESTIMATE and zeta and {"k", "m"} <= set(values):
+    if settings.damping == VISCOUS and settings.frees_mass and zeta and {"k", "m"} <= set(values):
         yield Unstated("law of damping", f"k and m together by about zeta, {100 * abs(zeta):.2g} %")

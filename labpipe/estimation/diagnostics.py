@@ -19,7 +19,6 @@ from labpipe.estimation.weights import has_noise
 from labpipe.records.finding import WARNING, Finding, Parameter, note
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.joint import is_joint
 from labpipe.spectra.period_average import is_unsettled
 
@@ -377,7 +376,7 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     They do not wait for significance, which is for coefficients that may be zero. With a given mass the band
     may lie beside the resonance; what a closed loop holds need have none.
     """
-    if not setup.settings.kind.one_mode or setup.settings.mass != ESTIMATE:
+    if not setup.settings.kind.one_mode or not setup.settings.frees_mass:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     beside = [] if setup.closed_loop else _beside(by_name, band)

@@ -50,19 +50,17 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
             text = str(stated[levels[0]])
             # "full" is no number, and not above or below any.
             with contextlib.suppress(UnitError):
-                test = _Test(fit, text, si_amount(text)[0])
-                groups.setdefault((levels[0], others, fit.band_hz, fit.term), []).append(test)
+                level, unit = si_amount(text)
+                group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
+                group.append(_Test(fit, text, level))
     new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 
 
 def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
     """The finding of the highest level against the lowest; none of one level alone."""
-    ascending = sorted(tests, key=lambda test: test.level)
-    low, high = ascending[0], ascending[-1]
-    if not low.level < high.level:
-        return []
-    message = _difference(low, high)
+    low, high = min(tests, key=lambda test: test.level), max(tests, key=lambda test: test.level)
+    message = _difference(low, high) if low.level < high.level else ""
     return [(high, Finding("amplitude", message))] if message else []
 
 

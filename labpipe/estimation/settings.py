@@ -241,6 +241,11 @@ class FitSettings(Settings):
         """The Estimator of that name; ConfigError for an unknown one."""
         return estimator_of(self.estimator)
 
+    @property
+    def frees_mass(self) -> bool:
+        """Whether the mass of one oscillator is estimated: neither given nor among the fixed coefficients."""
+        return self.mass == ESTIMATE and "m" not in dict(self.fixed)
+
     def _check_keys(self) -> None:
         """ConfigError for an estimator that does not fit the model, and for keys that change nothing."""
         kind = self.kind

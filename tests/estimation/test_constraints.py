@@ -19,6 +19,7 @@ from labpipe.records.uncertain import Uncertain
 from tests.estimation.conftest import DAMPING, MASS
 
 KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
+PEDESTAL = FitSettings("sdof", band=(67.0, 70.0))
 RAYLEIGH = replace(KNOWN, damping="proportional")
 OMEGA = np.array([0.3, 1.1, 2.2])
 
@@ -186,6 +187,14 @@ def test_a_mass_among_the_given_coefficients_gives_the_resonance(sdof_response) 
     (fit,) = identify(sdof_response(), FitSettings("sdof", mass=0.79, fixed=(("k", 134.5e3),)))
     assert fit.parameter("zeta").value == pytest.approx(3.682 / (2 * np.sqrt(134.5e3 * 0.79)), rel=1e-9)
     assert "f_n" not in {parameter.name for parameter in fit.parameters}
+
+
+def test_a_fixed_mass_is_taken_for_granted_like_a_given_one(sdof_response) -> None:
+    """Beside the resonance, at 65.7 Hz, the band need not hold it; and nothing is left to attach to."""
+    given = replace(PEDESTAL, mass=0.79), replace(PEDESTAL, fixed=(("m", 0.79),))
+    fits = [identify(sdof_response(1e-9, np.random.default_rng(1)), settings)[0] for settings in given]
+    assert fits[0].not_stated == fits[1].not_stated
+    assert [fit.findings for fit in fits] == [(), ()]
 
 
 SUPPORTED = {"subtract": Support(Uncertain(10e3), Uncertain(4.0)), "share": 2}

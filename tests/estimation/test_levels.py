@@ -87,6 +87,7 @@ def test_correlated_estimates_are_held_against_their_joint_uncertainty() -> None
         ({"quiet": {"level": "20 N"}, "loud": {"level": "20 N"}}, []),
         ({"quiet": {"level": "low"}, "loud": {"level": "high"}}, []),
         ({"quiet": {"amplitude": "10 um"}, "loud": {"amplitude": "30 um"}}, ["loud"]),
+        ({"quiet": {"level": "5 N"}, "loud": {"level": "30 um"}}, []),
         ({}, []),
     ],
 )
