@@ -116,8 +116,7 @@ def _slopes(
     return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 
-# Change of chi-square below which stated numbers are where data and statements together have them, and most
-# steps on the way.
+# Change of chi-square below which stated numbers stay where they are, and most steps on the way.
 NEGLIGIBLE, MOST_ROUNDS = 1e-2, 5
 
 

@@ -220,7 +220,6 @@ def _message(
 
 
 def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
-    """Value, with its standard error where there is one, in the unit in which people read it."""
     return amount_text(value, std_error, si_unit, "+-")
 
 
@@ -228,7 +227,7 @@ def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
 MOST_PERIODS, DELAY_STEP = 5.0, 0.1
 # Share of the excess chi-square that a delay explains where it is what is wrong.
 BY_DELAY = 0.9
-# Channels, by the least chi-square of their grids, whose delay is fitted beside all parameters.
+# Channels, by the least chi-square of their grids, whose delay is fitted.
 LIKELIEST = 2
 # Phase [rad] at the highest line, and standard errors, from which a delay is named.
 LEAST_PHASE, SURE_DELAY = 0.01, 5.0
@@ -321,7 +320,7 @@ def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
 def _delay(
     measured: Measured, model: DynamicModel, problem: OutputError[DelayedModel], start: FloatArray, name: str
 ) -> tuple[float, Finding] | None:
-    """chi-square with the delay of a channel, and the finding; None where it explains too little."""
+    """chi-square with the delay of a channel, and the finding; None if it explains too little."""
     highest = float(measured.omega[-1])
     if measured.n_equation <= start.size:
         return None
@@ -367,7 +366,7 @@ def delay_finding(
     return Finding("delay", message)
 
 
-# A pipeline holds many fits of many tests, and a drift that matters is far beyond chance.
+# A drift that matters is far beyond chance.
 DRIFT_P = 1e-3
 # Singular values of shapes below which they are one: a common gain of all outputs is that of all forces.
 SAME_SHAPE = 1e-8
@@ -437,7 +436,6 @@ def drift_findings(
 
 
 def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list[_Shape]:
-    """All stiffness, all damping coefficients by one factor."""
     shapes: list[_Shape] = []
     for unit, name in KINDS.items():
         chosen = [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
@@ -475,7 +473,6 @@ def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chan
 
 
 def _along(change: FloatArray, shape: FloatArray) -> float:
-    """Length of the change along a shape [1]."""
     length = float(np.linalg.norm(shape))
     return float(change @ shape) / length if length > 0 else 0.0
 
@@ -483,7 +480,6 @@ def _along(change: FloatArray, shape: FloatArray) -> float:
 def _of_parameters(
     jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance
 ) -> str:
-    """The parameter that changed most, in standard errors."""
     inverse = np.linalg.pinv(jacobian @ jacobian.T)
     changes = inverse @ (jacobian @ change)
     errors = np.sqrt(chance.variance * np.maximum(np.diag(inverse), np.finfo(float).tiny))

@@ -57,9 +57,7 @@ Patterns = Mapping[str, ComplexArray]
 @dataclass(frozen=True)
 class CoefficientError:
     """Mean (n,) and covariance (n, n) [parameter units] of the coefficients with noise and model error, and
-    covariance of *noise* alone.
-
-    *shares* [1] of the evidence by type; growth: of the widest interval over that of noise alone [1].
+    of *noise* alone; *shares* [1] of the evidence by type; growth: of the widest interval over noise's [1].
     """
 
     mean: FloatArray
@@ -125,8 +123,8 @@ class Misfit(Protocol):
         """Of the lines, (n_line,) [rad/s]."""
 
     def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n) [1 per
-        parameter unit], at *at* (n,).
+        """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n), at *at*
+        (n,) [parameter units].
         """
 
     def patterns(self) -> Patterns:

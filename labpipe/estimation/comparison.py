@@ -29,7 +29,7 @@ PASSES = 8
 # The descent ends where a full step would lower chi-square by a small part of its expectation per equation:
 # differences in AIC count from 10, and a surplus mode creeps long through noise.
 NEAR = 0.02
-# Bound of the descent: surplus modes may have no minimum to reach.
+# Bound of the descent: surplus modes may have no minimum.
 MOST_STEPS = 150
 
 
@@ -208,7 +208,7 @@ class RationalFit:
 
 # Difference in AIC beyond which a model has no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
-# Bound of each descent of a variant: a structure that contradicts the data may have no minimum to reach.
+# Bound of each descent of a variant: a structure that contradicts the data may have no minimum.
 MOST_COMPARED_STEPS = 40
 
 
@@ -294,11 +294,9 @@ def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
 def _variants(settings: FitSettings) -> list[_Variant]:
     """Alternatives: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
-    return [
-        _Variant(f"{THIS}: {_description(plain)}", plain, tuple(v.name for v in _richer(plain))),
-        *_richer(plain),
-        *_simpler(plain),
-    ]
+    richer = _richer(plain)
+    this = _Variant(f"{THIS}: {_description(plain)}", plain, tuple(variant.name for variant in richer))
+    return [this, *richer, *_simpler(plain)]
 
 
 def _damping_variants(settings: FitSettings) -> list[_Variant]:

@@ -1,5 +1,4 @@
-"""Damping laws: factors common to a whole matrix in place of every damping coefficient. `settings.DAMPINGS`
-is the table.
+"""Damping laws: factors common to a whole matrix in place of damping coefficients. Table: `DAMPINGS`.
 
 proportional: C = alpha M + beta K (Rayleigh); hysteretic: the complex stiffness K (1 + j eta) with the loss
 factor eta (Bishop and Johnson, The Mechanics of Vibration, ch. 9; Ewins, Modal Testing, sec. 2.4.2).

@@ -110,8 +110,7 @@ def is_corrected(settings: FitSettings) -> bool:
     return settings.share > 1 or (settings.subtract or Support()) != Support()
 
 
-# A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the
-# largest is random.
+# A shape is scaled by its first entry above this share of the largest, which is random among equal ones.
 LEADING = 0.8
 # Name -> (unit, value of every case).
 Quantities = dict[str, tuple[str, FloatArray]]
@@ -122,9 +121,9 @@ class Modes:
     """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
     frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping
-    (n_case, n_mode) = -Re lambda / |lambda|; shapes (n_case, n_dof, n_mode) real, the first large entry 1;
-    participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r / (w_r^2 - w^2) without
-    damping. Shapes and participation are those of the undamped system.
+    (n_case, n_mode) = -Re lambda / |lambda|; of the undamped system shapes (n_case, n_dof, n_mode), the first
+    large entry 1, and participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r /
+    (w_r^2 - w^2).
     """
 
     frequency: FloatArray
@@ -136,10 +135,9 @@ class Modes:
 def modes(matrices: Matrices) -> Modes | None:
     """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
 
-    With a loss factor K is complex and has a meaning for positive frequencies alone: of each pair of
-    eigenvalues the one that decays.
-
-    None where in any case the mass is singular, or a mode does not oscillate. Equation (est-modes).
+    With a loss factor K is complex, with a meaning for positive frequencies alone: of each pair of
+    eigenvalues the one that decays. None where a mass is singular, or a mode does not oscillate. Equation
+    (est-modes).
     """
     k, c, m = matrices.stiffness, matrices.damping, matrices.mass
     n_case, n = k.shape[0], k.shape[1]
@@ -385,9 +383,8 @@ def with_systematic(
     """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the
     effective degrees of freedom.
 
-    An interval that is lopsided by itself is widened on each side by the square sum of that side and the
-    systematic part's. dof (n_parameter,) [1]: effective ones, by default those of the budget. Equation
-    (unc-interval).
+    Sides of a lopsided interval are each widened by the square sum with the systematic part's. dof
+    (n_parameter,) [1]: effective ones, by default those of the budget. Equation (unc-interval).
     """
     return tuple(
         _expand(parameter, float(systematic), float(of_parameter))
@@ -473,7 +470,7 @@ GAIN = "gain"
 
 
 def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -> Fit:
-    """The fit of a *response* with what its numbers take for granted."""
+    """The fit of a *response* with what it takes for granted."""
     rows, columns = select_ports(response, settings.input, settings.output)
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]
     of_base = response.form == TRANSMISSIBILITY

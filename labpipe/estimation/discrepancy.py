@@ -13,7 +13,7 @@ extensions: a second mode in the band, and a resonance that moves while it is me
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -300,8 +300,7 @@ def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
     """The mixture, with *others* of the same mode beside it where there are any."""
     if not others:
         return first
-    parts = {field.name: getattr(first, field.name) for field in fields(first)}
-    return Settled(**parts, others=others)
+    return Settled(**vars(first), others=others)
 
 
 def mixture(base: Fitted) -> Mixture:

@@ -14,8 +14,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.budget import Case, sources_of
-from labpipe.estimation.budget import Refit as BudgetRefit
+from labpipe.estimation.budget import Case, Refit, sources_of
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.weights import has_noise, whitener
 from labpipe.records.finding import Finding, Parameter
@@ -25,14 +24,12 @@ FEWEST_REPEATS = 50
 # Largest share of failed refits: above it the intervals would be biased towards the successful ones.
 MOST_FAILED = 0.05
 
-Refit = Callable[[Measured], tuple[Parameter, ...]]
-
 
 def bootstrap(
     parameters: tuple[Parameter, ...],
     measured: Measured,
     fitted: ComplexArray,
-    refit: Refit,
+    refit: Callable[[Measured], tuple[Parameter, ...]],
     repeats: int,
     name: str,
 ) -> tuple[tuple[Parameter, ...], str]:
@@ -82,7 +79,7 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)
     if measured.noise is not None:
-        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n)[:, :, None])[:, :, 0]
+        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n))[:, :, 0]
         return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
     # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
     white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(
@@ -124,7 +121,7 @@ def propagate(
     parameters: Sequence[Parameter],
     budget: Budget,
     fitted: ComplexArray,
-    refit: BudgetRefit,
+    refit: Refit,
     draws: int,
 ) -> Budgeted:
     """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error
@@ -149,9 +146,7 @@ def propagate(
     return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
-def _draw(
-    case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator
-) -> FloatArray | None:
+def _draw(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Generator) -> FloatArray | None:
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
     for uncertainty, change in sources_of(case.setup, case.measured):

@@ -149,7 +149,7 @@ def fit_linear(
             *diagnostics.covariance_findings(response),
             *drift,
         )
-        # Bands of a sliding fit are drawn as coefficients over frequency; what is only counted is not drawn.
+        # Sliding bands are drawn as coefficients over frequency, what is only counted not at all.
         curve = _curve(view, measured, fit, dense=judging and len(bands) == 1)
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)

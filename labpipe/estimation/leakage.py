@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from labpipe.estimation.measured import Measured
     from labpipe.estimation.model import DynamicModel, FittedModel, ReceptanceModel, ResponseModel
 
-# Columns of the correlation formed together: enough to keep the overhead small, few enough for the memory.
+# Columns of the correlation formed together.
 COLUMNS_AT_ONCE = 64
 
 
@@ -48,12 +48,8 @@ class SharedNoise:
             sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors))
         )
 
-    def drawn(self, rng: np.random.Generator, n_element: int) -> ComplexArray:
-        """Circular normal noise of this correlation, (n_line, n_element) [1]."""
-        return self.drawn_often(rng, n_element, 1)[:, :, 0]
-
-    def drawn_often(self, rng: np.random.Generator, n_element: int, n_draw: int) -> ComplexArray:
-        """*n_draw* independent draws of it, (n_line, n_element, n_draw) [1]."""
+    def drawn(self, rng: np.random.Generator, n_element: int, n_draw: int = 1) -> ComplexArray:
+        """Independent draws of circular normal noise of this correlation, (n_line, n_element, n_draw) [1]."""
         kernel = self._kernel(self._n_place)
         power = np.maximum(fft.fft(kernel).real, 0.0)
         white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)

@@ -130,12 +130,12 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
     return values
 
 
-# p-value of a minimum below which, as without convergence, further starts are tried.
+# p-value of a minimum below which further starts are tried.
 SUSPECT_P = 1e-3
 UNWEIGHTED_NOTE = (
     "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal "
-    "weight, the standard "
-    "errors come from the residual, and the chi-square test of the model is not possible."
+    "weight, the standard errors come from the residual, and the chi-square test of the model is not "
+    "possible."
 )
 
 
@@ -149,9 +149,8 @@ def maximum_likelihood(
     """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
 
     Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all
-    lines have equal weight and the residual gives the standard errors. *most_steps* bounds the descent from
-    each start. FitError for fewer equations than parameters, or for a covariance that cannot be inverted.
-    Equation (est-ml).
+    lines have equal weight and the residual gives the standard errors. *most_steps* bounds each descent.
+    FitError for fewer equations than parameters, or a covariance without inverse. Equation (est-ml).
     """
     if isinstance(model, TransferMode):
         return _of_transfer_mode(measured, model)
@@ -242,8 +241,7 @@ class Assessed:
     where the noise is known.
 
     *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its
-    *p_value*, None for an unknown noise, whose size the residual gives. *pulls* of stated numbers, whose most
-    likely values chi-square allows for.
+    *p_value*, None for an unknown noise; *pulls* of stated numbers, whose likeliest values these allow for.
     """
 
     covariance: FloatArray
@@ -264,9 +262,8 @@ def assess(
     """The uncertainty of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data,
     its parameters first among them.
 
-    *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated
-    covariance and for noise that lines share as in `weights`. *stated*: numbers that chi-square allows for,
-    of a known noise. Equation (est-unweighted).
+    *linear*: the linearisation there, where it is at hand. Corrections for weights and shared noise as in
+    `weights`. *stated*: numbers that chi-square allows for. Equation (est-unweighted).
     """
     linear = linear or problem.linearised(values)
     inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size

@@ -1,6 +1,4 @@
-"""A mode on the lines of one FRF as an ordinary fit, and its named extensions: a second mode in the band, a
-resonance that moves.
-"""
+"""A mode on the lines of one FRF, and its extensions: a second mode in the band, a resonance that moves."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 
-# The model as it is, a second mode, and four laws by which the resonance moves while it is measured.
+# The model as it is, a second mode, and four laws by which the resonance moves meanwhile.
 AS_IT_IS, SECOND = "", "J"
 MOVED = ("L", "G", "U", "C")
 # Places where a second mode is looked for, and the factor between the damping of two modes at most.

@@ -19,7 +19,7 @@ from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
-# Complex numbers of the derivatives that are made together: few enough to stay in the cache.
+# Complex numbers of the derivatives that are made together, in the cache.
 CACHED_ELEMENTS = 1 << 16
 
 
@@ -322,8 +322,6 @@ def _regular(operation: Callable[..., ComplexArray], *matrices: ComplexArray) ->
         what = "the dynamic stiffness of the model is singular at a line"
         raise FitError(what, hint="check the band and the mass") from None
 
-
-# What a model needs to know of the measurement, and the pieces that models are made of.
 
 UNITS = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}
 

@@ -290,9 +290,9 @@ def instrumental_variables(
     """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one;
     started from ls.
 
-    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4).
-    A fit with weak instruments counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega
-    V) (A^T V)^-1. FitError for dependent instruments. Equation (est-iv).
+    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4);
+    weak instruments do not converge. Standard errors: (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for
+    dependent instruments. Equation (est-iv).
     """
     equation = regression(measured, model, weight)
     values, stationary, iterations = _iterate(

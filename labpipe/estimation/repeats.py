@@ -37,7 +37,7 @@ N_TAU = 80
 # Repeats from which on a curvature, and an order in time, can be seen, and their critical values.
 LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
 CURVED, ORDERED = 2.0, 1.645
-# Repeats from which on a course over a condition is looked for, and the range of that over its middle.
+# Repeats from which on a course over a condition is looked for, and its range over the middle.
 LEAST_FOR_COURSE, LEAST_RANGE = 5, 0.25
 # Largest correlation of neighbours that is believed.
 MOST_CORRELATED = 0.9

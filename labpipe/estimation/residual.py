@@ -41,12 +41,12 @@ def line_scatter(
     """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d
     / (D + 1).
 
-    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1] of
-    output_error.OutputError: real parts, then imaginary parts. (1 - H_ll)^-1 undoes what the line itself
-    takes from its residual (jackknife, MacKinnon and White 1985). The degrees of freedom are those of a
-    quadratic form of independent lines (Bell and McCaffrey 2002, Survey Methodology 28:169). *alone*: the
-    noise of every line is its own, so that D = 0 and only its size differs (HC3, MacKinnon and White 1985).
-    numpy.linalg.LinAlgError for dependent columns. Equation (est-line-scatter).
+    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1]: real parts,
+    then imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife,
+    MacKinnon and White 1985). The degrees of freedom are those of a quadratic form of independent lines (Bell
+    and McCaffrey 2002, Survey Methodology 28:169). *alone*: the noise of every line is its own, so that D = 0
+    and only its size differs (HC3, MacKinnon and White 1985). numpy.linalg.LinAlgError for dependent columns.
+    Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)
@@ -92,7 +92,7 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
 STRUCTURE_P = 0.01
 # Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.
 DRAWS, FEWEST_DRAWS = 1999, 599
-# Number of complex values in all draws together that is aimed at, and beyond which there is no test.
+# Complex values in all draws together, and beyond which there is no test.
 VALUES, MOST_VALUES = 2_000_000, 20_000_000
 LAGS = 8
 WIDTHS = (3, 6, 12)
@@ -135,9 +135,8 @@ def residual_structure(
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per
     parameter unit].
 
-    *size* (n_line, n_element) [m/N]: amplitude of the response. Both parts are ordered as in `output_error`:
-    real parts line by line, then imaginary parts. None where the lines are too few for any structure.
-    Equation (est-structure).
+    *size* (n_line, n_element) [m/N]: amplitude of the response. Real parts line by line stand before
+    imaginary ones. None where the lines are too few for any structure. Equation (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + DEGREE + 1:
@@ -178,7 +177,7 @@ def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) 
     rng = np.random.default_rng(n_line)
     if shared is None:
         return rng.standard_normal((2 * n_line * n_element, n_draw))
-    noise = shared.drawn_often(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
+    noise = shared.drawn(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
     return np.concatenate([noise.real, noise.imag])
 
 

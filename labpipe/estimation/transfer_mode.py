@@ -152,7 +152,7 @@ def _is_place(port: Port) -> bool:
 
 
 def place_notes(setup: Setup) -> tuple[str, ...]:
-    """As what a single FRF between two dofs is taken, where they have different names."""
+    """As what a single FRF between two dofs of different names is taken."""
     if setup.shape != (1, 1) or not setup.settings.kind.one_frf:
         return ()
     output, force = setup.outputs[0], setup.inputs[0]

@@ -21,7 +21,7 @@ from labpipe.estimation.statistics import stack
 
 # Share of the standard deviations by which a covariance may differ from such a product: rounding.
 ROUNDING = 1e-12
-# Numbers of a covariance that are looked at together: a part of the cache.
+# Numbers of a covariance that are looked at together, in the cache.
 CACHED_NUMBERS = 1 << 16
 
 
@@ -83,7 +83,7 @@ SINGULAR_ROUNDINGS = 100
 # Standard errors by which noise of the forces may move an estimate through its weights; how far the noise of
 # a line may reach in its deviations, and as a part of a force.
 LEAST_SHIFT, FARTHEST, MOST_MOVED = 0.05, 3.0, 0.5
-# Complex numbers that are whitened together: few enough to stay in the cache.
+# Complex numbers that are whitened together, in the cache.
 CACHED_TERMS = 1 << 16
 
 
