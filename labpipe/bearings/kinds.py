@@ -1,5 +1,5 @@
-"""Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients with their
-uncertainty, how it stands on a rotor.
+"""Kinds of bearings. BEARINGS by name: what a file holds, its coefficients with their uncertainty, how it
+stands on a rotor.
 """
 
 from __future__ import annotations
@@ -87,10 +87,7 @@ class BearingCoefficients:
 
     @property
     def relative(self) -> FloatArray:
-        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1].
-
-        Zero where a diagonal term is zero.
-        """
+        """Relative coupling K_ij / sqrt(|K_ii K_jj|), (n_dof, n_dof) [1]; zero beside a diagonal of zero."""
         diagonal = np.sqrt(np.abs(np.diag(self.stiffness)))
         scale = np.outer(diagonal, diagonal)
         relative: FloatArray = np.divide(self.stiffness, scale, out=np.zeros_like(scale), where=scale > 0)
@@ -103,9 +100,6 @@ class BearingCoefficients:
             ("y", "z"), self.stiffness[places], self.damping[places], findings=self.findings
         )
 
-
-# Kinds of bearings. BEARINGS by name: what a file of the kind holds, its coefficients, and how it stands on
-# a rotor.
 
 BEARINGS = Registry("bearing")
 
@@ -192,9 +186,6 @@ def not_on_rotor(entry: str) -> ConfigError:
     return SettingError(entry.partition(".")[0], f"{entry}: follows from the rotor", "leave it out")
 
 
-# What uncertainties of geometry, oil, loads and gains do to the coefficients of a bearing.
-
-
 @dataclass(frozen=True)
 class BearingUncertainties:
     """Changes of the coefficients by one standard uncertainty of each of the *sources*, with their signs.
@@ -210,9 +201,7 @@ class BearingUncertainties:
 
     @property
     def stiffness_error(self) -> FloatArray:
-        """Standard uncertainty (n_dof, n_dof) [SI units of the stiffness] by all sources, which are
-        independent.
-        """
+        """Standard uncertainty (n_dof, n_dof) [SI units of the stiffness] by all independent sources."""
         return np.asarray(np.sqrt(np.sum(self.stiffness**2, axis=0)))
 
     @property
@@ -226,10 +215,7 @@ class BearingUncertainties:
         return np.asarray(np.sqrt(np.sum(self.rest**2, axis=0)))
 
     def shares(self, changes: FloatArray) -> list[tuple[str, float]]:
-        """Source and its share in the variance of one amount, the largest first.
-
-        *changes* (n_source,) [unit of the amount].
-        """
+        """Shares in the variance of one amount, the largest first; *changes* (n_source,) [its unit]."""
         whole = float(np.sum(changes**2))
         if not whole:
             return []

@@ -1,6 +1,4 @@
-"""amplitude: one degree of freedom from the amplitudes of the FRF alone, for measurements with unreliable
-phase.
-"""
+"""amplitude: one degree of freedom from the amplitudes of the FRF alone, where the phase is unreliable."""
 
 from __future__ import annotations
 
@@ -61,21 +59,17 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
     damping. Equation (est-amplitude).
     """
     if model.names not in (("k", "c"), ("k", "c", "m")):
-        raise ConfigError(
-            "the amplitude fit estimates k and c, or k, c and m", hint="leave `fixed` and `eliminate` out"
-        )
+        what = "the amplitude fit estimates k and c, or k, c and m"
+        raise ConfigError(what, hint="leave `fixed` and `eliminate` out")
     amplitude = np.abs(measured.matrix).reshape(-1)
     dof = amplitude.size - len(model.terms)
     if dof <= 0:
-        raise FitError(
-            f"{amplitude.size} amplitudes cannot determine {len(model.terms)} parameters",
-            hint="widen the band",
-        )
+        what = f"{amplitude.size} amplitudes cannot determine {len(model.terms)} parameters"
+        raise FitError(what, hint="widen the band")
     std = _amplitude_noise(measured)
     if weight == "noise" and std is None:
-        raise FitError(
-            "the noise of the FRF is not known, so lines cannot weigh by it", hint="leave `weight` out"
-        )
+        what = "the noise of the FRF is not known, so lines cannot weigh by it"
+        raise FitError(what, hint="leave `weight` out")
     problem = _Amplitudes(measured, model, amplitude, std)
     values, covariance = _linear(problem)
     converged, steps = True, 0
@@ -83,13 +77,11 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
         minimum = minimise(problem, values)
         values, converged, steps = minimum.values, minimum.converged, minimum.steps
         covariance = solve_scaled(problem.jacobian(values), problem.residual(values))[1]
-    design = triangle_of(problem.jacobian(values))
-    gof = _goodness(problem, values, dof)
     return Estimate(
         values=values,
         covariance=measured.shared_noise * covariance,
-        scaled_design=design,
-        gof=gof,
+        scaled_design=triangle_of(problem.jacobian(values)),
+        gof=_goodness(problem, values, dof),
         dof=dof,
         converged=converged,
         iterations=steps,
@@ -106,10 +98,7 @@ def _amplitude_noise(measured: Measured) -> FloatArray | None:
 
 
 def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:
-    """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4.
-
-    X_3 = 1 / m^2 is known with the mass.
-    """
+    """(k, c[, m]) and their covariance from A^3 x_1 + A^3 w^2 x_2 - A x_3 = -A^3 w^4, x_3 = 1 / m^2."""
     a, w = problem.amplitude, problem.measured.omega
     # Amplitude and frequency near 1: fourth powers span too many digits otherwise.
     a_unit, w_unit = float(np.max(a)), float(np.max(w))
@@ -134,14 +123,10 @@ def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:
 
 
 def _physical(x: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """k = sqrt(x_1 / x_3), c = sqrt((x_2 + 2 sqrt(x_1)) / x_3), m = 1 / sqrt(x_3), and their slopes by x, (n,
-    n).
-    """
+    """k = sqrt(x_1 / x_3), c = sqrt((x_2 + 2 sqrt(x_1)) / x_3), m = 1 / sqrt(x_3), their slopes (n, n)."""
     if x[0] <= 0 or x[2] <= 0:
-        raise FitError(
-            "the amplitudes fit no real stiffness and mass",
-            hint="widen the band to both sides of the resonance",
-        )
+        hint = "widen the band to both sides of the resonance"
+        raise FitError("the amplitudes fit no real stiffness and mass", hint=hint)
     damping_square = x[1] + 2 * np.sqrt(x[0])
     if damping_square <= 0:
         raise FitError(NO_DAMPING, hint="lines nearer to the resonance, or the estimator ml")

@@ -19,7 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
 from labpipe.errors import ConfigError
-from labpipe.estimation.derived import BandModel, reported_parameters, with_systematic
+from labpipe.estimation.derived import DIVIDED, BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import SHARE, Measured, across_ports, turn
@@ -37,7 +37,7 @@ from labpipe.estimation.weights import (
     whitener,
 )
 from labpipe.records import uncertain
-from labpipe.records.finding import Contribution, Parameter
+from labpipe.records.finding import Contribution, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
@@ -67,8 +67,7 @@ class Case:
 
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget | None:
-    """The budget of reported *parameters*; None where no number has an uncertainty, or the fit did not
-    converge.
+    """The budget of reported *parameters*; None where no number has an uncertainty, or without convergence.
 
     Equation (unc-implicit).
     """
@@ -117,8 +116,7 @@ def _slopes(
     return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 
-# Change of chi-square below which stated numbers are where data and statements together have them, and most
-# steps on the way.
+# Change of chi-square below which stated numbers stay where they are, and most steps on the way.
 NEGLIGIBLE, MOST_ROUNDS = 1e-2, 5
 
 
@@ -127,8 +125,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     still change of its residual.
 
     Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of
-    these: far above the noise it is not linear. Of unknown noise the fit as it was made. FitError as
-    `solve_scaled`.
+    these: far above the noise it is not linear. Of unknown noise as it was made. FitError as `solve_scaled`.
     """
     sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
@@ -164,9 +161,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
 def _move(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], at: FloatArray, values: FloatArray
 ) -> Case:
-    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)
-    [parameter units].
-    """
+    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)."""
     moved = case
     for (uncertainty, change), amount in zip(sources, at, strict=True):
         moved = change(moved, amount * uncertainty.std_error)
@@ -178,9 +173,7 @@ def _residual_changes(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], weights: Weights
 ) -> FloatArray:
     """Changes of the whitened residual (n_source, n_equation) [1] by one standard uncertainty of each source.
-
-    A gain acts on the fitted response here, not on the measured one: times its noise it would take the
-    residual's own noise for an error.
+    A gain acts on the fitted response: with the measured one the residual's own noise would be an error.
     """
     values = case.estimate.values
     fitted = expected(case.measured, case.model).receptance(values, case.measured.omega)
@@ -193,24 +186,14 @@ def _residual_changes(
     return _slopes(case, sources, residual)
 
 
-def with_given_mass(fit: Fit, settings: FitSettings) -> Fit:
-    """A fit whose k and c are the given mass times what is fitted, with what the uncertainty of that mass
-    adds; as it is without one.
-    """
-    return fit if fit.budget is not None else with_sources(fit, mass_source(fit.parameters, settings))
-
-
 def mass_source(parameters: Sequence[Parameter], settings: FitSettings) -> list[Source]:
-    """The given mass as a source of stiffness and damping that are in proportion to it.
-
-    None without an uncertainty of it.
-    """
-    number = dict(settings.uncertainties).get("mass")
-    if number is None or settings.mass == ESTIMATE or not number.value:
+    """The given mass as a source of stiffness and damping in proportion to it; none without uncertainty."""
+    mass = mass_uncertainty(settings)
+    if mass is None or not settings.mass:
         return []
-    relative = number.std_error / number.value
-    times_mass = [p.value if p.unit in ("N/m", "N.s/m") else 0.0 for p in parameters]
-    return [(_of_mass(number), relative * np.array(times_mass))]
+    relative = mass.std_error / dict(settings.uncertainties)["mass"].value
+    times_mass = [p.value if p.unit in DIVIDED else 0.0 for p in parameters]
+    return [(mass, relative * np.array(times_mass))]
 
 
 def mass_uncertainty(settings: FitSettings) -> uncertain.Uncertainty | None:
@@ -218,18 +201,11 @@ def mass_uncertainty(settings: FitSettings) -> uncertain.Uncertainty | None:
     number = dict(settings.uncertainties).get("mass")
     if number is None or settings.mass == ESTIMATE or not number.std_error > 0:
         return None
-    return _of_mass(number)
-
-
-def _of_mass(number: uncertain.Uncertain) -> uncertain.Uncertainty:
     return uncertain.uncertainty_of(number, f"mass {number.value:g} kg", "kg")
 
 
 def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
-    """The fit with what further systematic *sources* add to the uncertainty of its parameters.
-
-    As it is where none changes an interval.
-    """
+    """The fit with what further *sources* add to its uncertainty; as it is where none changes an interval."""
     before = full_errors(fit.parameters)
     counted = [source for source in sources if np.any(source[1][np.isfinite(before)])]
     if not counted:
@@ -248,25 +224,31 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
-    """The fit with combined and expanded uncertainty of every parameter that given numbers make uncertain,
-    and with its sources.
-
-    *coverage* [1]: probability of the expanded uncertainty, by Student's t with the effective degrees of
+    """The fit with combined and expanded uncertainty, and the sources, of parameters that given numbers make
+    uncertain. *coverage* [1]: probability of the expanded one, by Student's t with the effective degrees of
     freedom.
     """
-    if fit.budget is None:
-        return fit
-    return replace(fit, parameters=contribute(fit.parameters, fit.budget, coverage))
+    stated = fit.parameters if fit.budget is None else contribute(fit.parameters, fit.budget, coverage)
+    return replace(fit, parameters=tuple(map(_with_interval_parts, stated)))
+
+
+def _with_interval_parts(parameter: Parameter) -> Parameter:
+    """What is neither noise, repeats nor given numbers in an interval is model error."""
+    noise, systematic = parameter.std_error, parameter.systematic or 0.0
+    if noise is None or parameter.ci95 is None:
+        return parameter
+    repeats = 0.0 if parameter.interval is None else parameter.interval.repeats
+    full = parameter.full_error or noise
+    rest = max(full**2 - noise**2 - systematic**2 - repeats**2, 0.0)
+    # What rounding leaves of equal squares is no model error.
+    discrepancy = float(np.sqrt(rest)) if rest > 1e-9 * full**2 else 0.0
+    return replace(parameter, interval=IntervalParts(noise, discrepancy, repeats, systematic))
 
 
 def contribute(
     parameters: Sequence[Parameter], budget: uncertain.Budget, coverage: float
 ) -> tuple[Parameter, ...]:
-    """The parameters with combined and expanded uncertainty and with the sources of a *budget* that holds all
-    of them.
-
-    *coverage* [1]: as for `with_contributions`. A parameter without a systematic part stays as it is.
-    """
+    """The same of *parameters* by a *budget* of all of them. One without a systematic part stays as it is."""
     stated = []
     for parameter in parameters:
         if parameter.systematic is None:
@@ -335,24 +317,20 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
     slope, power = uncertain.COURSES[effect]
 
     def change(case: Case, error: float) -> Case:
-        factor = np.exp(sign * error * slope * case.measured.omega**power)
-        matrix = case.measured.plus_offset(case.measured.matrix).copy()
-        if sign > 0:
-            matrix[:, number, :] *= factor[:, None]
-        else:
-            matrix[:, :, number] *= factor[:, None]
-        offset = case.measured.offset
-        return _with_matrix(case, matrix if offset is None else matrix - offset[:, None, None])
+        measured = case.measured
+        matrix = measured.plus_offset(measured.matrix).copy()
+        at = (slice(None), number) if sign > 0 else (..., number)
+        matrix[at] *= np.exp(sign * error * slope * measured.omega**power)[:, None]
+        offset = 0.0 if measured.offset is None else measured.offset[:, None, None]
+        return _with_matrix(case, matrix - offset)
 
     return change
 
 
 def _change_of_direction(number: int, sign: float) -> Change:
-    """Another direction of a force, of which the model knows; or of a sensor, which then reads something of
-    the motion across it.
-
-    A sensor without another of known direction beside it is turned in the model, as if the motion were alike
-    in all directions.
+    """Another direction of a force, of which the model knows; or of a sensor, which then reads the motion
+    across it too. Without another of known direction beside it, it is turned in the model, as if the motion
+    were alike in all directions.
     """
 
     def change(case: Case, error: float) -> Case:
@@ -376,19 +354,13 @@ def _change_by(matrix_error: uncertain.MatrixError) -> Change:
 
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
-    """The setup with an output (*sign* 1) or a force in another direction.
-
-    A port without a direction stays.
-    """
-
-    def other(ports: tuple[Port, ...]) -> tuple[Port, ...]:
-        port = ports[number]
-        angle = None if port.angle is None else port.angle + error
-        return (*ports[:number], replace(port, angle=angle), *ports[number + 1 :])
-
-    if sign > 0:
-        return replace(setup, outputs=other(setup.outputs))
-    return replace(setup, inputs=other(setup.inputs))
+    """The setup with an output (*sign* 1) or a force in another direction; a port without one stays."""
+    side = "outputs" if sign > 0 else "inputs"
+    ports: list[Port] = list(getattr(setup, side))
+    angle = ports[number].angle
+    ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
+    changed: dict[str, Any] = {side: tuple(ports)}
+    return replace(setup, **changed)
 
 
 def _with_settings(case: Case, **changed: Any) -> Case:
@@ -403,10 +375,7 @@ def _heavier(case: Case, error: float) -> Case:
 
 
 def support_uncertainties(support: Support | None) -> Iterator[tuple[str, uncertain.Uncertainty]]:
-    """Uncertainties of stiffness and damping, by these names, of a support that is subtracted.
-
-    In all tests on it they are the same errors.
-    """
+    """Uncertainties of a support's stiffness and damping by name: the same errors in all its tests."""
     for name, unit in (("stiffness", "N/m"), ("damping", "N.s/m")):
         number: uncertain.Uncertain | None = None if support is None else getattr(support, name)
         if number is not None and number.std_error > 0:
@@ -426,10 +395,7 @@ def _other_support(name: str) -> Change:
 
 
 def _step_of(case: Case) -> Step:
-    """The estimator's step.
-
-    Without one that of ml, where the estimate is that of ml, else the estimate anew.
-    """
+    """The estimator's step; without one that of ml, where the estimate is that of ml, else the fit anew."""
     settings = case.setup.settings
     estimator = settings.estimates
     if estimator.step is not None:
@@ -443,12 +409,9 @@ def _step_of(case: Case) -> Step:
 
 
 def instrumental_step(case: Case) -> Step:
-    """One more step of the instrumental variables from their estimate, on changed data and with a changed
-    model.
-    """
-    by_instruments = instrument_step(
-        case.measured, _linear(case.model), case.setup.settings.weight, case.estimate.values
-    )
+    """One more step of the instrumental variables from their estimate, on changed data and model."""
+    weight, values = case.setup.settings.weight, case.estimate.values
+    by_instruments = instrument_step(case.measured, _linear(case.model), weight, values)
     return lambda model, measured: by_instruments(_linear(model), measured)
 
 
@@ -466,9 +429,7 @@ def _linear(model: BandModel) -> DynamicModel:
 
 
 def likelihood_step(case: Case) -> Step:
-    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)) with the weighted residual r and its Jacobian J at the
-    estimate.
-    """
+    """p - (J^T J)^-1 J^T (r(q + dq) - r(q)), the weighted residual r and its Jacobian J at the estimate."""
     weights, jacobian, residual = _linearise(case)
     _, inverse = solve_scaled(jacobian, residual)
 
@@ -480,9 +441,7 @@ def likelihood_step(case: Case) -> Step:
 
 
 def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    """The weights of the output error, its Jacobian (n_equation, n_parameter) and its residual (n_equation,)
-    at the estimate.
-    """
+    """Weights, Jacobian (n_equation, n_parameter) and residual (n_equation,) of the output error there."""
     measured, values = case.measured, case.estimate.values
     weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
     problem = OutputError(measured, expected(measured, case.model), weights)
@@ -499,9 +458,9 @@ def with_repeat_sources(
     conditions: Mapping[str, Any],
     coverage: float,
 ) -> Fit:
-    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties.
+    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties. One
+    source changes one parameter, since repeats of one coefficient do not tell how others go with it.
 
-    One source changes one parameter, since repeats of one coefficient do not tell how others go with it.
     ConfigError for a test without the condition that its errors go by.
     """
     names = [parameter.name for parameter in fit.parameters]

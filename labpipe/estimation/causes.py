@@ -1,22 +1,12 @@
 """Causes of a mismatch that the data show: a stated number, a wrong given mass, a late channel, drift within
 the record.
 
-A stated number whose most likely value lies further from what was stated than its uncertainty and that of the
-data allow.
-
-The given mass held against the mass that the data prefer: a wrong one makes stiffness wrong, however good the
-fit.
-
 Near a resonance the curve knows k / m much better than k and m, so that k follows a wrong mass in proportion
 and the goodness of fit hardly changes. The height of the curve under a known force still tells the mass.
 
-A channel that was recorded late, by the delay with which the residual is explained.
-
-Drift: what changed between the two halves of a record, told by the shape that the change of the FRF has.
-
-To first order a changed parameter changes H by dH/dp, a changed gain by its own row or column of H. The
-change of H is projected on these shapes, whitened with the noise of H, whose own level between all lines is
-the measure of chance: so it does not matter how well the covariance is known.
+Drift is what changed between the two halves of a record. To first order a changed parameter changes H by
+dH/dp, a changed gain by its own row or column of H. The change of H is projected on these shapes, whitened
+with the noise of H, whose own level between all lines is the measure of chance.
 """
 
 from __future__ import annotations
@@ -49,10 +39,7 @@ def stated_findings(
     uncertainties: Sequence[Uncertainty], pulls: Pulls, values: Mapping[str, float]
 ) -> list[Finding]:
     """Findings that name every stated number that the data contradict, with the value that they ask for;
-    masses by the code `mass`.
-
-    *uncertainties*: source of each pull, in their order; *values* [SI]: numbers by source, where these are
-    one number.
+    masses by the code `mass`. *uncertainties*: source of each pull; *values* [SI]: numbers by source.
     """
     text: dict[str, list[str]] = {"mass": [], "stated-value": []}
     for number in map(int, np.flatnonzero(pulls.far)):
@@ -60,14 +47,11 @@ def stated_findings(
         text[code].append(_contradiction(uncertainties[number], pulls, number, values))
     what = (
         "Each is judged with all others within what was stated, and counts in the intervals with its "
-        "distance. One of these numbers is "
-        "wrong, or its uncertainty is larger than stated: weigh or calibrate again"
+        "distance. One of these numbers is wrong, or its uncertainty is larger than stated: weigh or "
+        "calibrate again"
     )
-    return [
-        Finding(code, f"the data contradict {'; '.join(named)}. {what}")
-        for code, named in text.items()
-        if named
-    ]
+    contradicted = ((code, f"the data contradict {'; '.join(named)}. {what}") for code, named in text.items())
+    return [Finding(code, message) for code, message in contradicted if text[code]]
 
 
 def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
@@ -89,18 +73,17 @@ def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: 
 
 
 CONTRADICTED_P = 0.01
-# Share of the chi-square beyond the noise that a free mass explains where the mass is what is wrong.
+# Share of the excess chi-square that a free mass explains where the mass is what is wrong.
 EXPLAINED = 0.5
 MOST_STEPS = 40
-# A given mass is taken as known to this share: forces and responses are hardly calibrated better, and a
-# window's resolution at a sharp resonance, which no covariance holds, moves a free mass by tenths of a per
-# cent.
+# A given mass is taken as known to this share: calibrations are hardly better, and a window's resolution at a
+# sharp resonance, which no covariance holds, moves a free mass by tenths of a per cent.
 TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
 class _FreeFit:
-    """Output-error fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
+    """Fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
 
     values: FloatArray
     covariance: FloatArray
@@ -113,11 +96,10 @@ def mass_findings(
     """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the
     fit with it.
 
-    Whatever the fit's estimator, the mass is freed in an output-error fit from its values, since least
-    squares would be biased by noise. No finding where the mass was not given, or the forces' factors are
-    estimated too: the curve knows ratios only then. Nor in sliding bands, which are for stiffness that
-    changes with frequency: within a band that looks like another mass. What *stated* numbers change adds to
-    the uncertainty of the free mass. Equation (est-mass).
+    Whatever the estimator, the mass is freed in an output-error fit, which noise does not bias. No finding
+    where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then.
+    Nor in sliding bands, where stiffness that changes with frequency looks like another mass. What *stated*
+    numbers change adds to the uncertainty of the free mass. Equation (est-mass).
     """
     freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
@@ -133,8 +115,8 @@ def mass_findings(
 
 
 def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] | None:
-    """The model with a term per mass, and the given masses (n_mass,) [kg]: a single one for a mass that is
-    one number, else one per dof. None without given mass or force.
+    """The model with a term per mass, and the given masses (n_mass,) [kg]: one, or one per dof where they are
+    a list. None without given mass or force.
     """
     given, force = model.constant.mass, model.constant.force
     diagonal = np.diag(given)
@@ -156,13 +138,13 @@ def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] 
 def _free_fit(
     measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None
 ) -> _FreeFit | None:
-    """The fit from *start* (n_parameter,); None where the data cannot tell the mass.
-
-    Its covariance comes from the measured noise where that explains the residual. Else it comes from the
-    residual's own scatter along the lines, and of a measured excess the free mass must explain most:
-    otherwise something else is wrong with the model.
+    """The fit from *start* (n_parameter,); None where the data cannot tell the mass. Its covariance is that
+    of the measured noise where this explains the residual, else of the residual's scatter along the lines; of
+    a measured excess the free mass must explain most, or something else is wrong.
     """
     weighted = has_noise(measured)
+    if measured.n_equation <= start.size:
+        return None
     try:
         problem = OutputError(measured, expected(measured, model), fit_weights(measured))
         minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
@@ -192,7 +174,6 @@ def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> fl
     """The least |whiten (off - x)|^2 [1] of shifts x (n_mass,) [kg] within +- *limits* [kg]."""
     if off.size == 1:
         return float((whiten[0, 0] * max(abs(off[0]) - limits[0], 0.0)) ** 2)
-
     return 2 * float(scipy.optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
 
 
@@ -239,17 +220,14 @@ def _message(
 
 
 def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
-    """Value, with its standard error where there is one, in the unit in which people read it."""
     return amount_text(value, std_error, si_unit, "+-")
 
 
-# A channel that was recorded late: the delay with which a residual that is far from noise is explained.
-
 # Delays are looked for up to so many periods of the highest line, in steps of this share of its period.
 MOST_PERIODS, DELAY_STEP = 5.0, 0.1
-# Share of the chi-square beyond the noise that a delay explains where it is what is wrong.
+# Share of the excess chi-square that a delay explains where it is what is wrong.
 BY_DELAY = 0.9
-# Channels, by the least chi-square of their grids, whose delay is fitted beside all parameters.
+# Channels, by the least chi-square of their grids, whose delay is fitted.
 LIKELIEST = 2
 # Phase [rad] at the highest line, and standard errors, from which a delay is named.
 LEAST_PHASE, SURE_DELAY = 0.01, 5.0
@@ -266,16 +244,17 @@ class DelayedModel:
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H [m/N] with its delay, (n_line, n_output, n_input), at parameters (n_parameter + 1,)."""
-        return self.model.receptance(parameters[:-1], omega) * self._factor(parameters, omega)
+        return self.model.receptance(parameters[:-1], omega) * self.turned(parameters[-1], omega)
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Its derivatives, (n_parameter + 1, n_line, n_output, n_input) [m/N per parameter unit]."""
         slope = np.where(self.late, -1j * omega[:, None, None], 0.0) * self.receptance(parameters, omega)
-        others = self.model.jacobian(parameters[:-1], omega) * self._factor(parameters, omega)
+        others = self.model.jacobian(parameters[:-1], omega) * self.turned(parameters[-1], omega)
         return np.concatenate([others, slope[None]])
 
-    def _factor(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        return np.where(self.late, np.exp(-1j * omega[:, None, None] * parameters[-1]), 1.0)
+    def turned(self, delay: float, omega: FloatArray) -> ComplexArray:
+        """exp(-j w tau) of a *delay* [s] at late elements, else 1, (n_line, n_output, n_input) [1]."""
+        return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
 def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) -> list[Finding]:
@@ -283,8 +262,7 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     (n_parameter,) [parameter units] of the fit.
 
     Of each response, with several also of each force, the delay is fitted beside all parameters, from the
-    best of a grid. None where the noise is not known, and where no delay explains most of what is beyond it.
-    Equation (est-delay).
+    best of a grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
     """
     if not has_noise(measured):
         return []
@@ -302,17 +280,19 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
 def _best_of_grid(
     measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray
 ) -> tuple[float, OutputError[DelayedModel], FloatArray]:
-    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and where it
-    is.
-    """
-    highest = float(measured.omega[-1])
+    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and its place."""
+    omega = measured.omega
     delayed = DelayedModel(expected(measured, model), late)
     problem = OutputError(measured, delayed, fit_weights(measured))
     # H without a delay is the same all over the grid.
-    still = OutputError(measured, DelayedModel(_Still(delayed.model, values), late), fit_weights(measured))
-    grid = delays_of_grid(highest)
-    chi2, delay = min((still.chi2(np.append(values, delay)), float(delay)) for delay in grid)
-    return chi2, problem, np.append(values, delay)
+    still = delayed.model.receptance(values, omega)
+
+    def chi2(delay: float) -> float:
+        residual = problem.whitened(measured.matrix - still * delayed.turned(delay, omega))
+        return float(residual @ residual)
+
+    least, delay = min((chi2(delay), float(delay)) for delay in delays_of_grid(float(omega[-1])))
+    return least, problem, np.append(values, delay)
 
 
 def delays_of_grid(highest: float) -> FloatArray:
@@ -323,25 +303,6 @@ def delays_of_grid(highest: float) -> FloatArray:
 def is_late(delay: float, error: float, highest: float) -> bool:
     """Whether a delay [s] with its standard *error* turns the *highest* line [rad/s] enough to be named."""
     return abs(delay) * highest >= LEAST_PHASE and abs(delay) >= SURE_DELAY * error
-
-
-class _Still:
-    """A model whose parameters stay where they are. Satisfies FittedModel."""
-
-    def __init__(self, model: FittedModel, values: FloatArray) -> None:
-        self._model, self._values = model, values
-        self.names, self.units = model.names, model.units
-        self._receptance: ComplexArray | None = None
-
-    def receptance(self, _parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H [m/N] at the values that it was given, (n_line, n_output, n_input)."""
-        if self._receptance is None:
-            self._receptance = self._model.receptance(self._values, omega)
-        return self._receptance
-
-    def jacobian(self, _parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Its derivatives there, (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
-        return self._model.jacobian(self._values, omega)
 
 
 def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
@@ -359,8 +320,10 @@ def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
 def _delay(
     measured: Measured, model: DynamicModel, problem: OutputError[DelayedModel], start: FloatArray, name: str
 ) -> tuple[float, Finding] | None:
-    """chi-square with the delay of a channel, and the finding; None where it explains too little."""
+    """chi-square with the delay of a channel, and the finding; None if it explains too little."""
     highest = float(measured.omega[-1])
+    if measured.n_equation <= start.size:
+        return None
     try:
         minimum = minimise(problem, start, most_steps=MOST_STEPS)
         linear = problem.linearised(minimum.values)
@@ -385,11 +348,9 @@ def delay_finding(
     of_fit: Iterable[tuple[str, str, float, float]],
     cure: str = "",
 ) -> Finding:
-    """The finding of a channel *name* that is late by *delay* [s] and its standard error; *reduced*:
-    chi-square per degree of freedom without and with it.
-
-    *of_fit*: name, unit, value and standard error of every parameter with the delay; *cure*: what else may
-    explain it.
+    """The finding of a channel *name* that is late by *delay* [s] with its error; *reduced*: chi-square per
+    degree of freedom without and with it; *of_fit*: name, unit, value and error of every parameter with it;
+    *cure*: what else may explain it.
     """
     changed = ", ".join(
         f"{name} = {_amount(value, unit, std_error)}"
@@ -405,27 +366,20 @@ def delay_finding(
     return Finding("delay", message)
 
 
-# A pipeline holds many fits of many tests, and a drift that matters is far beyond chance.
+# A drift that matters is far beyond chance.
 DRIFT_P = 1e-3
-# Singular values of shapes of length 1 below which they are one shape: a common gain of all outputs is that
-# of all forces.
+# Singular values of shapes below which they are one: a common gain of all outputs is that of all forces.
 SAME_SHAPE = 1e-8
 KINDS = {"N/m": "all stiffness", "N.s/m": "all damping"}
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """A change of H by 100 % of something, whitened (n_equation,) [1], and its name."""
-
-    name: str
-    values: FloatArray
+# Name of what changes by 100 %, and the whitened change of H (n_equation,) [1].
+_Shape = tuple[str, FloatArray]
 
 
 @dataclass(frozen=True)
 class _Chance:
-    """Variance of a projection on a smooth shape by noise alone [1], and the degrees of freedom that this
-    rests on.
-    """
+    """Variance of a projection on a smooth shape by noise alone [1], and its degrees of freedom."""
 
     variance: float
     dof: float
@@ -455,21 +409,21 @@ def drift_findings(
         return []
     change = whitened(whiten, measured.change)
     shapes = [*_kinds(jacobian, model, values), *_gains(measured, whiten, fitted)]
-    chance = _chance(change, np.vstack([jacobian, *(shape.values for shape in shapes)]), measured)
+    chance = _chance(change, np.vstack([jacobian, *(shape for _, shape in shapes)]), measured)
     if chance is None:
         return []
-    tests = [(chance.p_value(_along(change, shape.values) ** 2, 1), shape) for shape in shapes]
-    best, shape = min(tests, key=lambda entry: entry[0])
+    tests = [(chance.p_value(_along(change, shape) ** 2, 1), name, shape) for name, shape in shapes]
+    best, name, shape = min(tests, key=lambda entry: entry[0])
     basis = _basis(jacobian)
     together = chance.p_value(float(np.sum((basis @ change) ** 2)), basis.shape[0])
     p_value = min(1.0, min(best, together) * (len(tests) + 1) * n_band)
     if p_value >= DRIFT_P:
         return []
     if best <= together:
-        length = float(np.linalg.norm(shape.values))
-        amount, error = _along(change, shape.values) / length, np.sqrt(chance.variance) / length
+        length = float(np.linalg.norm(shape))
+        amount, error = _along(change, shape) / length, np.sqrt(chance.variance) / length
         by = change_text(100 * amount, 100 * error, "%")
-        text = f"it looks like {shape.name} changed by {by}"
+        text = f"it looks like {name} changed by {by}"
     else:
         text = _of_parameters(jacobian, model, values, change, chance)
     message = (
@@ -482,12 +436,11 @@ def drift_findings(
 
 
 def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list[_Shape]:
-    """All stiffness, all damping coefficients by one factor."""
-    shapes = []
+    shapes: list[_Shape] = []
     for unit, name in KINDS.items():
         chosen = [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
         if chosen:
-            shapes.append(_Shape(name, values[chosen] @ jacobian[chosen]))
+            shapes.append((name, values[chosen] @ jacobian[chosen]))
     return shapes
 
 
@@ -495,10 +448,10 @@ def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_
     """The gain of every channel; of a single force and a single response only the one of both."""
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     if len(outputs) == len(inputs) == 1:
-        return [_Shape(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
+        return [(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
     rows, columns = np.eye(len(outputs))[:, None, :, None], np.eye(len(inputs))[:, None, None, :]
     masks = [*zip(outputs, rows, strict=True), *zip(inputs, columns, strict=True)]
-    return [_Shape(f"the gain of {name}", whitened(whiten, fitted * mask)) for name, mask in masks]
+    return [(f"the gain of {name}", whitened(whiten, fitted * mask)) for name, mask in masks]
 
 
 def _basis(shapes: FloatArray) -> FloatArray:
@@ -509,10 +462,7 @@ def _basis(shapes: FloatArray) -> FloatArray:
 
 
 def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chance | None:
-    """From what no shape explains.
-
-    Lines that share noise make smooth projections larger and leave fewer degrees of freedom.
-    """
+    """From what no shape explains; noise that lines share makes projections larger, with fewer degrees."""
     basis = _basis(shapes)
     rest = change - (basis @ change) @ basis
     dof = change.size - basis.shape[0]
@@ -523,7 +473,6 @@ def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chan
 
 
 def _along(change: FloatArray, shape: FloatArray) -> float:
-    """Length of the change along a shape [1]."""
     length = float(np.linalg.norm(shape))
     return float(change @ shape) / length if length > 0 else 0.0
 
@@ -531,7 +480,6 @@ def _along(change: FloatArray, shape: FloatArray) -> float:
 def _of_parameters(
     jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance
 ) -> str:
-    """The parameter that changed most, in standard errors."""
     inverse = np.linalg.pinv(jacobian @ jacobian.T)
     changes = inverse @ (jacobian @ change)
     errors = np.sqrt(chance.variance * np.maximum(np.diag(inverse), np.finfo(float).tiny))

@@ -1,11 +1,10 @@
 """What a fit of several coefficients states where its residual is not noise: intervals that include the model
 error.
 
-vec H = h(p) + D z + n on the lines of all FRFs together: n the measured noise, as large as measured or
-larger, and D z a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m
-of every response and every force (gain), z of every element of the dynamic stiffness (its law, drift), U of
-a stiffness that moves meanwhile. Courses are smooth functions of few numbers z, so that a matrix of FRFs
-costs little more than its fit.
+vec H = h(p) + D z + n on the lines of all FRFs together: n the noise, as large as measured or larger, and D z
+a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m of every response
+and every force (gain), z of every element of the dynamic stiffness (its law, drift), U of a stiffness that
+moves meanwhile. Courses are smooth functions of few numbers z.
 """
 
 from __future__ import annotations
@@ -25,10 +24,9 @@ from labpipe.estimation.leakage import SmearedModel
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, compliance
-from labpipe.estimation.model_error import reason_of, shares_by_cause
-from labpipe.estimation.statistics import restated
+from labpipe.estimation.model_error import reason_of, shares_by_cause, with_model_error
 from labpipe.estimation.weights import Weights, white_columns
-from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
+from labpipe.records.finding import Discrepancy, Parameter
 
 # Lines below which a course cannot be told from the coefficients.
 FEWEST_LINES = 4
@@ -42,9 +40,8 @@ LENGTHS: Mapping[str, FloatArray] = {
     MOVED[-2]: np.array([np.inf]),
 }
 FOLLOWED = 0.9
-# Relative size [1] of a gain curve, and of an error of the dynamic stiffness over the direct ones, that is
-# usual: an r.m.s. beyond it is the less likely. The residual of a long course is small, and its size, which
-# the coefficients follow, told by that prior alone.
+# Usual relative size [1] of a gain curve, and of an error of the dynamic stiffness over the direct ones: an
+# r.m.s. beyond it is less likely. The size of a long course is told by that prior alone.
 USUAL: Mapping[str, float] = {"m": 0.05, "z": 0.3}
 # By what the noise may be larger than measured [1]; the first is that of a sound measurement.
 LARGER = np.concatenate([[1.0], np.geomspace(1.1, 30.0, 12)])
@@ -60,9 +57,7 @@ Patterns = Mapping[str, ComplexArray]
 @dataclass(frozen=True)
 class CoefficientError:
     """Mean (n,) and covariance (n, n) [parameter units] of the coefficients with noise and model error, and
-    covariance of *noise* alone.
-
-    *shares* [1] of the evidence by type; growth: of the widest interval over that of noise alone [1].
+    of *noise* alone; *shares* [1] of the evidence by type; growth: of the widest interval over noise's [1].
     """
 
     mean: FloatArray
@@ -108,9 +103,8 @@ class CoefficientError:
         # The value stays that of the fit, which others can repeat; the interval holds it.
         low, high = min(wide.ci95[0], parameter.value), max(wide.ci95[1], parameter.value)
         full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
-        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
-        stated = restated(parameter, parameter.value, full, (low, high), std_error=noise, interval=parts)
-        return replace(stated, reason=self.reason, discrepancy=self.discrepancy, fitted=parameter.value)
+        stated = with_model_error(parameter, parameter.value, full, (low, high), noise)
+        return replace(stated, reason=self.reason, discrepancy=self.discrepancy)
 
 
 class Misfit(Protocol):
@@ -129,8 +123,8 @@ class Misfit(Protocol):
         """Of the lines, (n_line,) [rad/s]."""
 
     def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n) [1 per
-        parameter unit], at *at* (n,).
+        """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n), at *at*
+        (n,) [parameter units].
         """
 
     def patterns(self) -> Patterns:
@@ -180,9 +174,8 @@ def coefficient_error(
 
 
 def averaged_error(misfit: Misfit) -> CoefficientError | None:
-    """The average over all courses, linearised until its mean stays.
-
-    None for too few lines, or where the sums have no solution.
+    """The average over all courses, linearised until its mean stays; None for too few lines, or without
+    solution.
     """
     if misfit.omega.size < FEWEST_LINES:
         return None
@@ -293,11 +286,8 @@ class _Scene:
 
 
 def _as_large_as_it_varies(functions: FloatArray) -> FloatArray:
-    """Courses (n_line, n) [1] whose mean over the band is as large as their variation about it, and whose
-    mean square is 1.
-
-    Coefficients follow the mean, which no residual shows. That of a long course would be many times what can
-    be seen of it.
+    """Courses (n_line, n) [1] of mean square 1 whose mean over the band, which coefficients follow and no
+    residual shows, is as large as their variation about it.
     """
     varying = functions - functions.mean(axis=0)
     power = float(np.mean(np.sum(varying**2, axis=1)))
@@ -337,8 +327,8 @@ def _patterns(model: ReceptanceModel, values: FloatArray, measured: Measured) ->
 
 
 def _move(inverse: ComplexArray, stiffness: FloatArray, h: ComplexArray) -> ComplexArray:
-    """Z^-1 K Z^-1 K H, what is left of a stiffness that moves about its mean: of the whole and of each
-    direct one, (n_line, n_output, n_input, n_pattern) [m/N].
+    """Z^-1 K Z^-1 K H, what a stiffness leaves that moves about its mean: the whole and each direct one,
+    (n_line, n_output, n_input, n_pattern) [m/N].
     """
     moving = [stiffness]
     if len(stiffness) > 1:
@@ -374,9 +364,9 @@ class _Sums:
 
 @dataclass(frozen=True)
 class _Course:
-    """A course of one type, ln of its prior by amplitude (n_amplitude,) [1], with the eigenvalues (n_number,)
-    of D^H D and its eigenvectors (n_number, n_number) [1]; patterns (n_line, n_element, n_pattern), functions
-    (n_line, n_function) [1].
+    """A course of one type, ln of its prior (n_amplitude,) [1], with eigenvalues (n_number,) and eigenvectors
+    (n_number, n_number) [1] of D^H D; patterns (n_line, n_element, n_pattern), functions (n_line,
+    n_function).
     """
 
     kind: str
@@ -416,7 +406,7 @@ def _evidence(
     amplitudes: FloatArray,
     turned: ComplexArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ln of evidence and prior (n_amplitude, n_larger) [1], then shifts (n_component, n) and covariances
+    """ln of evidence and prior (n_amplitude, n_larger) [1], shifts (n_component, n) and covariances
     (n_component, n, n), amplitudes first, of noise s^2 (I + a^2 D D^H / s^2).
     """
     a, s = (part.ravel() for part in np.meshgrid(amplitudes, LARGER, indexing="ij"))

@@ -26,11 +26,10 @@ from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
 
 PASSES = 8
-# The descent ends where a further full step would lower chi-square by a small part of its expectation per
-# equation only: differences in AIC count from 10, and a surplus mode creeps long through noise before it
-# converges.
+# The descent ends where a full step would lower chi-square by a small part of its expectation per equation:
+# differences in AIC count from 10, and a surplus mode creeps long through noise.
 NEAR = 0.02
-# Bound of the descent: surplus modes may have no minimum to reach.
+# Bound of the descent: surplus modes may have no minimum.
 MOST_STEPS = 150
 
 
@@ -63,7 +62,7 @@ class RationalFit:
         """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary,
         as powers of j w are.
 
-        Powers themselves are so alike that the normal equations of a few modes would lose all digits.
+        Powers themselves are so alike that normal equations would lose all digits.
         """
         w = self.measured.omega / np.max(self.measured.omega)
         even = np.linalg.qr(np.vander(w**2, self.modes + 1, increasing=True))[0]
@@ -102,10 +101,8 @@ class RationalFit:
         return sum_of_squares(self.residual, parameters)
 
     def linearised(self, parameters: FloatArray) -> Linearisation:
-        """The linearisation at *parameters* (n_parameter,) [1] from the normal equations, without the tall
-        Jacobian.
-
-        By QR where rounding leaves them not positive definite.
+        """The linearisation at *parameters* (n_parameter,) [1] from the normal equations; by QR where
+        rounding leaves them not positive definite.
         """
         denominator, fitted = self._fit(parameters)
         residual = self.elements - fitted
@@ -119,10 +116,8 @@ class RationalFit:
         return Linearisation(triangle, projected, scale, self.chi2(parameters), 2 * residual.size)
 
     def start(self) -> FloatArray:
-        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass
-        (Sanathanan and Koerner 1963).
-
-        Of all passes the one with the lowest chi-square.
+        """Start values (n_parameter,) [1] by the equation error weighted with 1 / A of the last pass, the
+        best of all passes (Sanathanan and Koerner 1963).
         """
         weight: ComplexArray = np.ones(self.measured.omega.size, np.complex128)
         best: FloatArray = np.zeros(self.n_parameter)
@@ -178,10 +173,8 @@ class RationalFit:
         self, elements: ComplexArray, weight: ComplexArray, right_side: ComplexArray
     ) -> tuple[FloatArray, FloatArray]:
         """J^T J (n_parameter, n_parameter) and J^T r (n_parameter,) [1] of J = `_columns` and r =
-        *right_side*, both whitened.
-
-        Every column is a basis function times a vector over the elements: the sums over lines are products of
-        few small tables.
+        *right_side*, whitened: every column is a basis function times a vector, so sums over lines are few
+        small products.
         """
         n, n_element = 2 * self.modes, elements.shape[1]
         precision = self._precision * (np.abs(weight) ** 2)[:, None, None]
@@ -213,16 +206,15 @@ class RationalFit:
         return whitened(self.whitener, self.unit * values[..., None])
 
 
-# Difference in AIC to the best model beyond which a model has practically no support (Burnham and Anderson
-# 2002, sec. 2.6).
+# Difference in AIC beyond which a model has no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
-# Bound of each descent of a variant: a structure that contradicts the data may have no minimum to reach.
+# Bound of each descent of a variant: a structure that contradicts the data may have no minimum.
 MOST_COMPARED_STEPS = 40
 
 
 @dataclass(frozen=True)
 class _Variant:
-    """A model to compare: its name, its settings, and the names of the richer variants that contain it."""
+    """A model to compare: its name, settings, and the names of richer variants that contain it."""
 
     name: str
     settings: FitSettings
@@ -233,13 +225,12 @@ def candidates(
     measured: Measured, setup: Setup, ml_estimate: Estimate | None = None
 ) -> tuple[tuple[Candidate, ...], tuple[str, ...]]:
     """Every variant fitted by ml, in ascending order of AIC = chi-square + 2 parameters, and a note that
-    names those without a minimum.
+    names those without a minimum; nothing for an unknown noise.
 
-    None for an unknown noise. *ml_estimate*: that of the fit itself, where it is by ml; else this model is
-    fitted again. Every descent is bounded. Without `compare` only the alternative to a damping law:
-    independent damping coefficients. p_value: probability of an equal or larger decrease of chi-square to the
-    richest variant that contains this one, if this one is true (likelihood ratio, chi-square with as many
-    degrees of freedom as additional parameters). Equation (est-aic).
+    *ml_estimate*: that of the fit itself, where it is by ml. Every descent is bounded. Without `compare` only
+    independent damping coefficients beside a damping law. p_value: probability of an equal or larger decrease
+    of chi-square to the richest variant that contains this one, if this one is true (likelihood ratio,
+    chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
     """
     if not has_noise(measured):
         return (), ()
@@ -288,9 +279,7 @@ THIS = "this model"
 
 
 def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
-    """Rational fits with one mode less than dofs, as many, and one more: a test for modes missing in the
-    model.
-    """
+    """Rational fits with one mode less than dofs, as many, and one more: does the model lack modes?"""
     weights = whitener(measured)
     fits = [RationalFit(measured, weights, modes) for modes in range(max(n_output - 1, 1), n_output + 2)]
     orders = {}
@@ -303,13 +292,11 @@ def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
 
 
 def _variants(settings: FitSettings) -> list[_Variant]:
-    """Plausible alternatives: with and without cross terms, mass, symmetry, proportional damping."""
+    """Alternatives: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
-    return [
-        _Variant(f"{THIS}: {_description(plain)}", plain, tuple(v.name for v in _richer(plain))),
-        *_richer(plain),
-        *_simpler(plain),
-    ]
+    richer = _richer(plain)
+    this = _Variant(f"{THIS}: {_description(plain)}", plain, tuple(variant.name for variant in richer))
+    return [this, *richer, *_simpler(plain)]
 
 
 def _damping_variants(settings: FitSettings) -> list[_Variant]:
@@ -363,6 +350,8 @@ def _description(settings: FitSettings) -> str:
         parts.append(f"{settings.damping} damping")
     if settings.mass == ESTIMATE:
         parts.append("lumped mass estimated" if settings.lumped_mass else "mass estimated")
+    if settings.residuals:
+        parts.append("residual term")
     return ", ".join(parts)
 
 
@@ -379,8 +368,7 @@ def _candidate(
     """Name, parameters, chi-square and AIC of a fit by the sum of its *squares*; None without a minimum."""
     if squares is None:
         return None
-    # Differences between models follow the covariance of parameters (lost efficiency), not the expectation of
-    # the residual.
+    # Differences between models follow the covariance of parameters, not the residual's expectation.
     chi2 = squares / weight_uncertainty(measured, dof).inflation
     return Candidate(name, n_parameter, chi2, dof, chi2 + 2 * n_parameter)
 

@@ -1,5 +1,4 @@
-"""Damping laws: factors common to a whole matrix in place of every damping coefficient. `settings.DAMPINGS`
-is the table.
+"""Damping laws: factors common to a whole matrix in place of damping coefficients. Table: `DAMPINGS`.
 
 proportional: C = alpha M + beta K (Rayleigh); hysteretic: the complex stiffness K (1 + j eta) with the loss
 factor eta (Bishop and Johnson, The Mechanics of Vibration, ch. 9; Ewins, Modal Testing, sec. 2.4.2).
@@ -23,9 +22,8 @@ class Factor:
     """One number that multiplies a whole matrix: its *name* and *unit*.
 
     of: the matrix it multiplies, ``stiffness`` or ``mass``; into: the matrix that this adds to, ``damping``,
-    or ``stiffness`` as the imaginary part of a complex one. damping_of: from K [N/m] and M [kg], (n_dof,
-    n_dof), the viscous damping matrix [N.s/m] that dissipates as much as the factor 1 does at the natural
-    frequencies, for the start.
+    or ``stiffness`` as its imaginary part. damping_of: from K [N/m] and M [kg], (n_dof, n_dof), the viscous
+    damping [N.s/m] that dissipates as much as the factor 1 at the natural frequencies, for the start.
     """
 
     name: str
@@ -35,9 +33,7 @@ class Factor:
     damping_of: Callable[[FloatArray, FloatArray], FloatArray]
 
     def term(self, name: str, matrix: FloatArray, empty: Matrices) -> Term:
-        """The term of the factor times one parameter whose own *matrix* (n_dof, n_dof) [1] is that of
-        `of`.
-        """
+        """The term of the factor times one parameter whose own *matrix* `of` is (n_dof, n_dof) [1]."""
         if self.into == "stiffness":
             # The one complex matrix of a model; everything else of Matrices stays real.
             complex_matrix = replace(empty, stiffness=1j * matrix)  # type: ignore[arg-type]
@@ -57,15 +53,11 @@ class DampingLaw:
     viscous: bool
 
     def __call__(self, model: DynamicModel) -> FactorModel:
-        """*model* with the factors in place of its damping coefficients.
-
-        ConfigError where it has fewer than `fewest`.
-        """
+        """*model* with the factors for its damping coefficients; ConfigError for fewer than `fewest`."""
         if sum(_acts(term.matrices.damping) for term in model.terms) < self.fewest:
             needs = "several damping coefficients" if self.fewest > 1 else "a damping coefficient"
-            raise ConfigError(
-                f"{self.name} damping needs a model with {needs}", hint="leave `damping` out", field="damping"
-            )
+            what = f"{self.name} damping needs a model with {needs}"
+            raise ConfigError(what, hint="leave `damping` out", field="damping")
         free = replace(model, terms=tuple(term for term in model.terms if not _acts(term.matrices.damping)))
         empty = no_matrices(*model.constant.force.shape)
         products: list[Term] = []
@@ -74,14 +66,10 @@ class DampingLaw:
             acting = [n for n, term in enumerate(free.terms) if _acts(getattr(term.matrices, factor.of))]
             if _acts(getattr(model.constant, factor.of)):
                 acting.append(-1)
-            sources = [
-                ("given", model.constant) if n < 0 else (free.names[n], free.terms[n].matrices)
-                for n in acting
-            ]
-            products.extend(
-                factor.term(name, getattr(matrices, factor.of), empty) for name, matrices in sources
-            )
             owners.append(tuple(acting))
+            for n in acting:
+                name, of = ("given", model.constant) if n < 0 else (free.names[n], free.terms[n].matrices)
+                products.append(factor.term(name, getattr(of, factor.of), empty))
         return FactorModel(self, free, model, replace(free, terms=(*free.terms, *products)), tuple(owners))
 
 
@@ -118,9 +106,7 @@ class FactorModel:
         return self.free.terms
 
     def expanded_values(self, parameters: FloatArray) -> FloatArray:
-        """The values of `expanded` (..., n_expanded) [N/m, N.s/m, kg], from *parameters* (...,
-        n_parameter).
-        """
+        """The values of `expanded` (..., n_expanded) [N/m, N.s/m, kg] of *parameters* (..., n_parameter)."""
         n_free = len(self.free.terms)
         free, factors = parameters[..., :n_free], parameters[..., n_free:]
         with_one = np.concatenate([free, np.ones((*free.shape[:-1], 1))], axis=-1)
@@ -128,9 +114,7 @@ class FactorModel:
         return np.concatenate([free, *products], axis=-1)
 
     def from_linear(self, values: FloatArray) -> FloatArray:
-        """The free parameters and the factors whose damping comes closest to C, (n_parameter,) [parameter
-        units].
-        """
+        """The free parameters and the factors whose damping is closest to C, (n_parameter,) [their units]."""
         by_name = dict(zip(self.linear.names, values, strict=True))
         whole = self.linear.whole(values)
         columns = np.column_stack(
@@ -165,18 +149,12 @@ class FactorModel:
         return jacobian
 
     def whole(self, parameters: FloatArray) -> Matrices:
-        """K [N/m], C [N.s/m], M [kg] and B of *parameters* (..., n_parameter).
-
-        K is complex with a loss factor.
-        """
+        """K [N/m], C [N.s/m], M [kg] and B of *parameters* (..., n_parameter)."""
         return self.expanded.whole(self.expanded_values(parameters))
 
 
 def damp(model: DynamicModel, settings: FitSettings) -> DynamicModel | FactorModel:
-    """*model* with its `fixed`, `tied` and `damping` settings applied.
-
-    ConfigError where it does not have what they name.
-    """
+    """*model* with its `fixed`, `tied` and `damping` settings; ConfigError without what they name."""
     model = constrain(model, settings)
     if settings.damping == VISCOUS:
         return model
@@ -189,9 +167,8 @@ def _acts(matrix: FloatArray) -> bool:
 
 
 def _critical(stiffness: FloatArray, mass: FloatArray) -> FloatArray:
-    """M sqrt(M^-1 K) [N.s/m]: with eta times it as damping, every mode has zeta = eta / 2.
-
-    K / w of one frequency where M is singular.
+    """M sqrt(M^-1 K) [N.s/m]: with eta times it as damping, every mode has zeta = eta / 2; K if M is
+    singular.
     """
     if np.linalg.matrix_rank(mass) < mass.shape[0]:
         return stiffness

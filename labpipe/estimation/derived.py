@@ -1,6 +1,4 @@
-"""What is derived from estimates: corrections, modes, resonance, directions, reported parameters and a dense
-curve.
-"""
+"""What is derived from estimates: corrections, modes, resonance, reported parameters and a dense curve."""
 
 from __future__ import annotations
 
@@ -13,7 +11,6 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import coverage_factor
-from labpipe.errors import ConfigError
 from labpipe.estimation import statistics
 from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.linear_models import PER_MASS
@@ -24,16 +21,17 @@ from labpipe.estimation.transfer_mode import TransferMode, transfer_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Unstated
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.records.settings import COEFFICIENT_UNITS, ESTIMATE
+from labpipe.records.settings import COEFFICIENT_UNITS
 from labpipe.records.uncertain import Budget
 from labpipe.spectra.convert import TRANSMISSIBILITY
+
+# Units of coefficients that equal bearings in parallel share.
+DIVIDED = ("N/m", "N.s/m")
 
 
 @dataclass(frozen=True)
 class Estimated:
-    """Estimates (n_parameter,) with their joint covariance (n_parameter, n_parameter), by name, in *units*
-    [SI].
-    """
+    """Estimates (n_parameter,) by name, with their covariance (n_parameter, n_parameter), in *units* [SI]."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -92,18 +90,19 @@ def correct(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
 
     The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to
-    all direct coefficients and to all tests. ConfigError for a share below 1. Equation (est-corrected).
+    all direct coefficients and to all tests. Equation (est-corrected).
     """
-    if settings.share < 1:
-        raise ConfigError("share must be at least 1")
-    values = total.values.copy()
-    support = settings.subtract or Support()
-    for kind, amount in (("k", support.stiffness), ("c", support.damping)):
-        direct = np.array([is_direct(name) and name.startswith(kind) for name in total.names])
-        values = values - np.where(direct, amount.value, 0.0)
-    divisor = np.array([float(settings.share) if unit in ("N/m", "N.s/m") else 1.0 for unit in total.units])
+    of_support = np.array([_of_support(name, settings) for name in total.names])
+    divisor = np.array([float(settings.share) if unit in DIVIDED else 1.0 for unit in total.units])
     covariance = total.covariance / np.outer(divisor, divisor)
-    return replace(total, values=values / divisor, covariance=covariance)
+    return replace(total, values=(total.values - of_support) / divisor, covariance=covariance)
+
+
+def _of_support(name: str, settings: FitSettings) -> float:
+    """What of a coefficient is the support's [its unit]: nothing of those that are not direct."""
+    support = settings.subtract or Support()
+    amounts = {"k": support.stiffness.value, "c": support.damping.value}
+    return amounts.get(name[0], 0.0) if is_direct(name) else 0.0
 
 
 def is_corrected(settings: FitSettings) -> bool:
@@ -111,11 +110,7 @@ def is_corrected(settings: FitSettings) -> bool:
     return settings.share > 1 or (settings.subtract or Support()) != Support()
 
 
-# Modes of an identified model: natural frequencies, damping ratios, mode shapes, participation; many models
-# at once.
-
-# A shape is scaled by its first entry above this share of the largest one: among nearly equal entries the
-# largest is random.
+# A shape is scaled by its first entry above this share of the largest, which is random among equal ones.
 LEADING = 0.8
 # Name -> (unit, value of every case).
 Quantities = dict[str, tuple[str, FloatArray]]
@@ -126,9 +121,9 @@ class Modes:
     """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
     frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping
-    (n_case, n_mode) = -Re lambda / |lambda|; shapes (n_case, n_dof, n_mode) real, the first large entry 1;
-    participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r / (w_r^2 - w^2) without
-    damping. Shapes and participation are those of the undamped system.
+    (n_case, n_mode) = -Re lambda / |lambda|; of the undamped system shapes (n_case, n_dof, n_mode), the first
+    large entry 1, and participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r /
+    (w_r^2 - w^2).
     """
 
     frequency: FloatArray
@@ -140,10 +135,9 @@ class Modes:
 def modes(matrices: Matrices) -> Modes | None:
     """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
 
-    With a loss factor K is complex and has a meaning for positive frequencies alone: of each pair of
-    eigenvalues the one that decays.
-
-    None where in any case the mass is singular, or a mode does not oscillate. Equation (est-modes).
+    With a loss factor K is complex, with a meaning for positive frequencies alone: of each pair of
+    eigenvalues the one that decays. None where a mass is singular, or a mode does not oscillate. Equation
+    (est-modes).
     """
     k, c, m = matrices.stiffness, matrices.damping, matrices.mass
     n_case, n = k.shape[0], k.shape[1]
@@ -186,9 +180,6 @@ def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple
     return quantities
 
 
-# Quantities derived from the estimates: resonance, modes, direction of the force, fixed or tied
-# coefficients.
-
 # What one band is fitted with.
 BandModel = DynamicModel | FactorModel | TransferMode
 
@@ -196,17 +187,22 @@ BandModel = DynamicModel | FactorModel | TransferMode
 STEP, SMALLEST_STEP = 1e-3, 1e-7
 
 
-def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: int) -> list[Parameter]:
+def derived_parameters(
+    total: Estimated, every: Estimated, model: BandModel, setup: Setup, dof: int
+) -> list[Parameter]:
     """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of
-    proportional damping, totals where support or share changed the coefficients, and fixed coefficients.
-    Equation (est-resonance).
+    proportional damping, and totals where support or share changed the coefficients.
+
+    *every*: *total* and with it all coefficients that are tied or given. Equation (est-resonance).
     """
     settings = setup.settings
     parameters: list[Parameter] = []
     if settings.kind.one_mode:
-        parameters.extend(_resonance(total, setup, dof))
+        parameters.extend(_resonance(every, setup, dof))
     if isinstance(model, FactorModel) and model.law.viscous:
-        parameters.extend(_propagated_all(total, lambda values: _damping_coefficients(model, values), dof))
+        parameters.extend(
+            _propagated_all(total, lambda values: _damping_coefficients(model, values, settings), dof)
+        )
     if settings.kind.matrix_modes:
         outputs = tuple(port.dof or port.label for port in setup.outputs)
         inputs = tuple(port.label for port in setup.inputs)
@@ -217,35 +213,34 @@ def derived_parameters(total: Estimated, model: BandModel, setup: Setup, dof: in
         x, y = total.value("b_x"), total.value("b_y")
         error = propagate(total, {"b_x": -y / (x**2 + y**2), "b_y": x / (x**2 + y**2)})
         parameters.append(statistics.derive("forcing_angle", "rad", float(np.arctan2(y, x)), error, dof))
-    if is_corrected(settings):
-        for name, unit in zip(total.names, total.units, strict=True):
-            if unit in ("N/m", "N.s/m"):
-                value, error = total.value(name), total.std_error(name)
-                parameters.append(statistics.derive(f"{name}_total", unit, value, error, dof))
-    parameters.extend(
-        Parameter(name, value, COEFFICIENT_UNITS[name[0]], derived=True) for name, value in settings.fixed
-    )
+    given = dict(settings.fixed)
+    for name, unit in zip(every.names, every.units, strict=True):
+        if is_corrected(settings) and unit in DIVIDED and name not in given:
+            value, error = every.value(name), every.std_error(name)
+            parameters.append(statistics.derive(f"{name}_total", unit, value, error, dof))
     return parameters
 
 
-def _damping_coefficients(model: FactorModel, values: FloatArray) -> Quantities:
-    """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient; *values* (n_case, n_parameter)."""
+def _damping_coefficients(model: FactorModel, values: FloatArray, settings: FitSettings) -> Quantities:
+    """c_i_j = alpha m_i_j + beta k_i_j of every stiffness coefficient, less the support's and of one bearing;
+    *values* (n_case, n_parameter).
+    """
     damping = model.whole(values).damping
-    coefficients: Quantities = {}
+    coefficients, totals = Quantities(), Quantities()
     for term in model.terms:
         places = np.argwhere(term.matrices.stiffness != 0)
         if places.size:
-            coefficients[f"c{term.name[1:]}"] = ("N.s/m", damping[:, places[0][0], places[0][1]])
-    return coefficients
+            name, total = f"c{term.name[1:]}", damping[:, places[0][0], places[0][1]]
+            coefficients[name] = ("N.s/m", (total - _of_support(name, settings)) / settings.share)
+            totals[f"{name}_total"] = ("N.s/m", total)
+    return coefficients | totals if is_corrected(settings) else coefficients
 
 
 def _propagated_all(
     total: Estimated, quantities: Callable[[FloatArray], Quantities], dof: int
 ) -> list[Parameter]:
-    """Functions of the estimates with their standard errors to first order, derivatives by centred
-    differences.
-
-    Values without standard errors where the functions do not exist on both sides of the estimate.
+    """Functions of the estimates with their standard errors to first order, by centred differences; without
+    errors where they do not exist on both sides of the estimate.
     """
     steps = np.maximum(STEP * np.sqrt(np.diag(total.covariance)), SMALLEST_STEP * np.abs(total.values))
     places = [total.values, total.values + np.diag(steps), total.values - np.diag(steps)]
@@ -269,31 +264,31 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     modal constant 1/m [1/kg].
 
     k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the
-    same. None of it where k and m have different signs or are eliminated.
+    same. None of it where k and m have different signs or are eliminated, and no f_n of given numbers alone.
     """
     stiffness, damping = (
         next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc"
     )
     if not stiffness:
         return []
-    k = total.value(stiffness)
-    given: Any = setup.settings.mass
-    m = total.value("m") if "m" in total.names else 1.0 if stiffness != "k" else float(given)
+    given: Any = setup.settings.mass if stiffness == "k" else 1.0
+    k, m = total.value(stiffness), total.value("m") if "m" in total.names else float(given)
+
+    def derived(name: str, unit: str, value: float, slopes: dict[str, float]) -> Parameter:
+        return statistics.derive(name, unit, float(value), propagate(total, slopes), dof)
+
     resonance = []
+    if k * m > 0:
+        w_n = np.sqrt(k / m)
+        f_n = w_n / (2 * np.pi)
+        if {stiffness, "m"} & {*total.names} - {*dict(setup.settings.fixed)}:
+            resonance.append(derived("f_n", "Hz", f_n, {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}))
+        if damping:
+            zeta = total.value(damping) / (2 * m * w_n)
+            slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
+            resonance.append(derived("zeta", "1", zeta, slopes))
     if "m" in total.names and m != 0 and transfer_of(setup):
-        resonance.append(
-            statistics.derive("modal_constant", "1/kg", 1 / m, propagate(total, {"m": -1 / m**2}), dof)
-        )
-    if k * m <= 0:
-        return resonance
-    w_n = np.sqrt(k / m)
-    f_n = w_n / (2 * np.pi)
-    slopes = {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}
-    resonance.insert(0, statistics.derive("f_n", "Hz", float(f_n), propagate(total, slopes), dof))
-    if damping:
-        zeta = total.value(damping) / (2 * m * w_n)
-        slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
-        resonance.insert(1, statistics.derive("zeta", "1", float(zeta), propagate(total, slopes), dof))
+        resonance.append(derived("modal_constant", "1/kg", 1 / m, {"m": -1 / m**2}))
     return resonance
 
 
@@ -304,8 +299,6 @@ def propagate(total: Estimated, slopes: dict[str, float]) -> float:
     gradient = np.array([slopes.get(name, 0.0) for name in total.names])
     return float(np.sqrt(max(gradient @ total.covariance @ gradient, 0.0)))
 
-
-# Reported parameters of an estimate, with standard errors where they exist.
 
 # Probability of the intervals of parameters.
 INTERVAL = 0.95
@@ -320,29 +313,44 @@ def reported_parameters(
 
     Without convergence the values of the last step, without standard errors.
     """
+    settings, vifs = setup.settings, statistics.inflation_factors(estimate.scaled_design)
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
-    dof = int(estimate.student_dof.min())
-    parameters = (
-        *_coefficients(estimate, correct(total, setup.settings), model),
-        *derived_parameters(total, model, setup, dof),
-    )
+    # A law's factors come behind the terms, and have no coefficients tied to them.
+    aliases = [(number, alias) for number, term in enumerate(model.terms) for alias in term.aliases]
+    places = [*range(vifs.size), *(number for number, _ in aliases)]
+    every = _with_given(total, places, [alias for _, alias in aliases], settings.fixed)
+    reported = correct(every, settings)
+    coefficients = []
+    for number, (name, place) in enumerate(zip(reported.names, places, strict=False)):
+        value, error, dof = reported.value(name), reported.std_error(name), int(estimate.student_dof[place])
+        plain = statistics.estimated(name, reported.units[number], value, error, dof, float(vifs[place]))
+        coefficients.append(replace(plain, derived=number >= vifs.size))
+    derived = derived_parameters(total, every, model, setup, int(estimate.student_dof.min()))
+    given = [
+        Parameter(name + end, of.value(name), COEFFICIENT_UNITS[name[0]], derived=True)
+        for of, end in ((reported, ""), (every, "_total"))
+        for name, _ in settings.fixed
+        if not end or (is_corrected(settings) and COEFFICIENT_UNITS[name[0]] in DIVIDED)
+    ]
+    parameters = (*coefficients, *derived, *given)
     return parameters if estimate.converged else without_intervals(parameters)
 
 
-def _coefficients(estimate: statistics.Estimate, reported: Estimated, model: BandModel) -> list[Parameter]:
-    """The estimated parameters, followed by those tied to them."""
-    vifs = statistics.inflation_factors(estimate.scaled_design)
-    coefficients = [
-        statistics.estimated(name, unit, reported.value(name), reported.std_error(name), int(dof), float(vif))
-        for name, unit, vif, dof in zip(
-            reported.names, reported.units, vifs, estimate.student_dof, strict=True
-        )
-    ]
-    # The factors of a damping law come after the terms.
-    pairs = zip(coefficients, model.terms, strict=False)
-    return coefficients + [
-        replace(parameter, name=alias, derived=True) for parameter, term in pairs for alias in term.aliases
-    ]
+def _with_given(
+    total: Estimated, places: list[int], tied: list[str], given: tuple[tuple[str, float], ...]
+) -> Estimated:
+    """The estimates at *places* among *total*, those behind it under the names *tied*, then the *given*
+    coefficients, which have no error.
+    """
+    n = len(places)
+    covariance = np.zeros((n + len(given),) * 2)
+    covariance[:n, :n] = total.covariance[np.ix_(places, places)]
+    return Estimated(
+        (*total.names, *tied, *(name for name, _ in given)),
+        (*(total.units[place] for place in places), *(COEFFICIENT_UNITS[name[0]] for name, _ in given)),
+        np.concatenate([total.values[places], [value for _, value in given]]),
+        covariance,
+    )
 
 
 def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -357,9 +365,7 @@ def widened_parameters(
     parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]
 ) -> tuple[Parameter, ...]:
     """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*,
-    all in the same order.
-
-    None becomes narrower: where errors of two parameters compensate, that of a derived one could.
+    all in one order; none narrower, as where errors of two parameters compensate in a derived one.
     """
     factors = [
         (after.std_error or 0.0) / (before.std_error or np.inf)
@@ -377,9 +383,8 @@ def with_systematic(
     """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the
     effective degrees of freedom.
 
-    An interval that is lopsided by itself is widened on each side by the square sum of that side and the
-    systematic part's. dof (n_parameter,) [1]: effective ones, by default those of the budget. Equation
-    (unc-interval).
+    Sides of a lopsided interval are each widened by the square sum with the systematic part's. dof
+    (n_parameter,) [1]: effective ones, by default those of the budget. Equation (unc-interval).
     """
     return tuple(
         _expand(parameter, float(systematic), float(of_parameter))
@@ -411,9 +416,6 @@ def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
     return statistics.restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
 
 
-# A model between the measured lines: so many frequencies that straight lines from one to the next show its
-# resonances as they are.
-
 # Parts of the step between two lines, least number of frequencies in a band, and the largest.
 PARTS, FEWEST, MOST = 2, 200, 2000
 # Largest distance of the model from a straight line between two neighbours, as part of its size.
@@ -424,12 +426,11 @@ Model = Callable[[FloatArray], ComplexArray]
 
 
 def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    """Frequencies (n,) [Hz] from the first to the last of *lines*, all of which they hold, and the model
-    there (n, n_output, n_input).
+    """Frequencies (n,) [Hz] from the first to the last of *lines*, which are among them, and the model there
+    (n, n_output, n_input).
 
-    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model still bends by
-    more than FLATNESS from one to the next, as at a light resonance, the step is halved again, up to MOST
-    frequencies.
+    Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model bends by more
+    than FLATNESS between two, as at a light resonance, the step is halved again, up to MOST frequencies.
     """
     frequency = between(lines)
     values = model(frequency)
@@ -458,31 +459,23 @@ def between(lines: FloatArray) -> FloatArray:
 
 
 def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
-    """(n - 1,) largest distance of any element from the straight line across each step, as part of its size
-    there.
-    """
+    """(n - 1,) largest distance of any element from the straight line across each step, over its size."""
     across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
     size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
     return np.asarray((across / size).max(axis=(1, 2)))
 
 
-# What no residual can show, and no number states: gains, attached masses, level of force, law of damping. It
-# counts as zero in the intervals, and is listed by name: type B of the GUM, known from elsewhere alone.
-
+# What no residual can show, and no number states, is listed by name: type B of the GUM.
 GAIN = "gain"
 
 
 def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -> Fit:
-    """The fit of a *response* with what its numbers take for granted."""
-    try:
-        rows, columns = select_ports(response, settings.input, settings.output)
-    except ConfigError:
-        # Peaks choose their ports one by one.
-        rows, columns = list(range(len(response.outputs))), list(range(len(response.inputs)))
+    """The fit of a *response* with what it takes for granted."""
+    rows, columns = select_ports(response, settings.input, settings.output)
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]
     of_base = response.form == TRANSMISSIBILITY
     entries = list(_gains(ports, settings, of_base=of_base))
-    if settings.mass == ESTIMATE and not of_base:
+    if settings.frees_mass and not of_base:
         what = "m by m_t; f_n and zeta of the structure alone by m_t / 2 m of themselves"
         entries.append(Unstated("mass m_t of what is attached to the structure", what))
     what = "what changes with the amplitude: repeat the test at half the force"
@@ -499,7 +492,7 @@ def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> It
     what = "gain of " + ", ".join(dict.fromkeys(silent))
     if of_base:
         yield Unstated(what, "k and c by about as much")
-    elif settings.mass == ESTIMATE:
+    elif settings.frees_mass:
         yield Unstated(what, "k, c and m each by as much; f_n and zeta not at all")
     else:
         yield Unstated(what, "the resonance against the given mass: c by as much, k less near resonance")
@@ -509,5 +502,5 @@ def _law(fit: Fit, settings: FitSettings) -> Iterator[Unstated]:
     """k - m w^2 is what a resonance shows: the split follows the law of damping."""
     values = {parameter.name: parameter.value for parameter in fit.parameters}
     zeta = values.get("zeta")
-    if settings.damping == VISCOUS and settings.mass == ESTIMATE and zeta and {"k", "m"} <= set(values):
+    if settings.damping == VISCOUS and settings.frees_mass and zeta and {"k", "m"} <= set(values):
         yield Unstated("law of damping", f"k and m together by about zeta, {100 * abs(zeta):.2g} %")

@@ -18,12 +18,11 @@ WELL_CONDITIONED = 1e4
 
 
 def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-    """(lengths S of the columns [any unit], R (n, n) [1] of columns S^-1 = Q R, True if R comes from their
-    products).
+    """(lengths S of the columns [any unit], R (n, n) [1] of columns S^-1 = Q R, True if R is by products).
 
     *columns* (n_row, n) [any unit]; a column of zeros keeps its length 1. Products of columns (Cholesky) cost
     a fraction of Householder's QR and are as accurate while the condition number is far below 1 /
-    sqrt(rounding); QR is used beyond that.
+    sqrt(rounding); QR beyond that.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         products = columns.T @ columns
@@ -36,10 +35,8 @@ def scaled_triangle(columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
 
 
 def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns with each
-    other; None where R is too inexact, FitError beyond all numbers.
-
-    Products of zero keep the length 1.
+    """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns, of zeros with
+    the length 1; None where R is too inexact, FitError beyond all numbers.
     """
     scale = np.sqrt(np.diag(products))
     if not np.all(np.isfinite(scale)):
@@ -55,21 +52,16 @@ def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] 
 
 MAX_ITERATIONS = 100
 MAX_DAMPING_STEPS = 20
-# Convergence: share of the residual in the range of the Jacobian. 1e-6 is far below a standard error, and
-# close to the rounding of chi-square (its square).
+# Convergence: share of the residual in the range of the Jacobian, close to the rounding of chi-square.
 GRADIENT_TOLERANCE = 1e-6
-# Distance to the minimum in standard errors (residual per equation) that counts as converged where no step
-# lowers chi-square.
+# Standard errors (residual per equation) from a minimum that count as converged where no step goes lower.
 NEGLIGIBLE = 1e-3
 # Convergence for noise-free FRFs, as a share of the FRF.
 ROUNDING = 1e-12
 
 
 class SquareSum(Protocol):
-    """A residual (n_equation,) [-] and its Jacobian (n_equation, n_parameter).
-
-    Chi2 is infinite where the model has no response.
-    """
+    """A residual (n_equation,) [-] and its Jacobian; chi2 is infinite where the model has no response."""
 
     @property
     def size(self) -> float:
@@ -101,9 +93,7 @@ def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: Flo
 
 @dataclass(frozen=True)
 class Minimum:
-    """End point *values* (n_parameter,) [parameter units] of the descent, True for a minimum, and the number
-    of steps.
-    """
+    """End point *values* (n_parameter,) [parameter units] of a descent, and whether it is a minimum."""
 
     values: FloatArray
     converged: bool
@@ -128,8 +118,7 @@ class Linearisation:
 def linearised(problem: SquareSum, parameters: FloatArray) -> Linearisation:
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
     residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
-    # A parameter that has run off to where nothing depends on it has the length 1: damping keeps the step
-    # finite.
+    # A parameter on which nothing depends has the length 1: damping keeps the step finite.
     scale, triangle, by_products = scaled_triangle(jacobian)
     if by_products:
         projected = np.linalg.solve(triangle.T, (jacobian.T @ residual) / scale)
@@ -157,8 +146,7 @@ def minimise(
     rounding = ROUNDING * problem.size
     for steps in range(most_steps):
         linear = linearise(values) if linearise else linearised(problem, values)
-        # Unlike the length of the last step, the gain of a further full step does not become small through
-        # large damping.
+        # Unlike the last step, the gain of a further full step does not become small by large damping.
         gain, size = float(np.linalg.norm(linear.projected)), float(np.sqrt(linear.chi2))
         standard_error = size / np.sqrt(linear.n_equation)
         if gain <= max(GRADIENT_TOLERANCE * size, rounding, near * standard_error):

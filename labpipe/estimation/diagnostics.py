@@ -19,7 +19,6 @@ from labpipe.estimation.weights import has_noise
 from labpipe.records.finding import WARNING, Finding, Parameter, note
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.joint import is_joint
 from labpipe.spectra.period_average import is_unsettled
 
@@ -28,12 +27,11 @@ STANDS_OUT = 1.5
 
 
 def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
-    """Singular values (n_output,) [1] of the FRF in units of its noise, and the number of them above the
-    noise.
+    """Singular values (n_output,) [1] of the FRF in units of its noise, and how many are above the noise.
 
     The matrix has outputs as columns, lines and forces as rows. Circular noise of variance 1 has singular
-    values up to sqrt(n_row) + sqrt(n_column) (Geman 1980). Only the variance of each output is used, not
-    their covariance: a common factor of the outputs is a motion, whatever its noise. Equation (est-motions).
+    values up to sqrt(n_row) + sqrt(n_column) (Geman 1980). Only the variance of each output is used: a common
+    factor of the outputs is a motion, whatever its noise. Equation (est-motions).
     """
     n_line, n_output, n_input = measured.matrix.shape
     assert measured.covariance is not None
@@ -47,7 +45,7 @@ def independent_motions(measured: Measured) -> tuple[FloatArray, int]:
 
 def motion_notes(measured: Measured) -> tuple[str, ...]:
     """A note where fewer independent motions than outputs are above the noise."""
-    if len(measured.outputs) < 2 or not has_noise(measured):
+    if len(measured.outputs) < 2 or not has_noise(measured) or not np.all(measured.variance):
         return ()
     values, count = independent_motions(measured)
     if count >= values.size:
@@ -58,10 +56,7 @@ def motion_notes(measured: Measured) -> tuple[str, ...]:
     return (f"The {values.size} responses hold {moving}: {of_noise}.",)
 
 
-# Fits of an FRF that was measured in a closed loop: what the loop explains is not laid to mass, signs or
-# band.
-
-# Findings that name a cause, where a biased FRF alone makes them appear.
+# Findings that name a cause, where an FRF that a closed loop biases makes them appear.
 OF_ANOTHER_CAUSE = ("mass", "stated-value", "unphysical")
 
 
@@ -87,8 +82,7 @@ LOST_SAMPLES = ("clipped", "gap")
 
 def with_cautions(fit: Fit, measured: Sequence[Finding]) -> Fit:
     """The fit with what the findings of its FRF say of it: `feedback`, cut or missing samples, and a warning
-    that forbids to accept it, where what is injected into a closed loop hardly exceeds the noise of its FRF
-    and the residual is more than noise.
+    where what is injected into a closed loop hardly exceeds its noise and the residual is more than noise.
     """
     fit = with_feedback(fit, measured)
     lost = [finding for finding in measured if finding.code in LOST_SAMPLES and finding not in fit.findings]
@@ -120,19 +114,17 @@ def is_stiffness(parameter: Parameter) -> bool:
     return is_direct(parameter.name) and parameter.name.startswith("k")
 
 
-# Condition numbers of a column-scaled design above 30 are strong collinearity (Belsley, Kuh and Welsch 1980,
-# section 3.2); there more than half of a parameter's variance comes from the weak direction.
+# Condition numbers of a column-scaled design above 30 are strong collinearity, where a weak direction makes
+# more than half of a parameter's variance (Belsley, Kuh and Welsch 1980, section 3.2).
 COLLINEAR_CONDITION = 30.0
 VARIANCE_PROPORTION = 0.5
 # Amplification of an FRF error in the coefficients below which their signs are reliable.
 HARMFUL_GROWTH = 30.0
-# Estimates from products of columns lose the square of the condition number in rounding (1e-16 x 1e4^2 leaves
-# eight digits, 1e6^2 four, and the lost ones differ from processor to processor): larger numbers are written
-# as a power of ten.
+# Products of columns lose the square of the condition number in rounding, from processor to processor
+# otherwise: larger numbers are written as a power of ten.
 ROUGH = 1e4
 MISMATCH_P = 0.01
-# Parameters of a transfer FRF's mode that are zero for the simplest structure: that they are says nothing
-# against the model.
+# Parameters of a transfer FRF's mode that are zero for the simplest structure.
 OPTIONAL = ("modal_constant_quadrature", "residual_re", "residual_im")
 FEW_DOF = 5
 EQUATIONS_PER_PARAMETER = 3
@@ -141,7 +133,7 @@ LOW_GOF = 0.5
 LOW_SNR = 10.0
 
 
-# From the names of parameters that the data cannot tell apart to what would.
+# From the names of parameters to what would tell them apart.
 Remedy = Callable[[Sequence[str]], str]
 
 
@@ -179,11 +171,9 @@ def estimate_findings(
 
 
 def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], cure: Remedy) -> list[Finding]:
-    """Parameters that are not separately identifiable, by Belsley's variance proportions of the weak
-    directions.
-
-    Correlated columns alone are harmless: stiffness and mass of a resonance have similar columns but small
-    errors. The warning requires an error of the FRF to be amplified in the parameters.
+    """Parameters that are not separately identifiable, by Belsley's variance proportions of weak directions.
+    Correlated columns alone are harmless, as of stiffness and mass of a resonance: the warning requires an
+    error of the FRF to be amplified in the parameters.
     """
     condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
@@ -215,10 +205,7 @@ def _rough(number: float) -> str:
 def _growth(
     estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]
 ) -> float | None:
-    """The largest amplification in the group, relative to the largest coefficient of its unit.
-
-    None where it is unknown.
-    """
+    """The largest amplification in the group over the largest coefficient of its unit; None if unknown."""
     if estimate.amplification is None:
         return None
     largest = {
@@ -232,8 +219,8 @@ def _growth(
 
 
 def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:
-    """Parameters with most of their variance in weak directions, as one group; *scaled_design* (n_parameter,
-    n_parameter) [1].
+    """Parameters with most of their variance in weak directions of *scaled_design* (n_parameter, n_parameter)
+    [1], as one group.
 
     Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
     """
@@ -266,22 +253,34 @@ def goodness_findings(gof: Goodness) -> list[Finding]:
 
 
 def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
-    """A finding where the residual exceeds the measured noise, for models whose intervals are not from a
-    covariance alone.
+    """A finding where the residual exceeds the measured noise; *biased*: name of an estimator that is so."""
+    factor = excess(estimate)
+    if factor is None:
+        return []
+    cause = "the model is incomplete" + (f", or {biased} is biased; compare with ml" if biased else "")
+    cure = f"Multiply the standard errors by {factor:.3g} at least, or narrow the band."
+    what = excess_text(estimate.gof.chi2_reduced, estimate.gof.chi2_p)
+    return [Finding("model-mismatch", f"{what}: {cause}. {cure}")]
 
-    *biased*: name of an estimator that is so itself.
+
+def excess(estimate: Estimate) -> float | None:
+    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
+
+    Equation (est-excess).
     """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
-        return []
-    factor = np.sqrt(reduced)
-    cause = "the model is incomplete" + (f", or {biased} is biased; compare with ml" if biased else "")
-    message = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {reduced:.3g}, p = {p_value:.2g}): {cause}. Multiply the standard errors by {factor:.3g} "
-        "at least, or narrow the band."
+        return None
+    return float(np.sqrt(reduced))
+
+
+def excess_text(reduced: float | None, p_value: float | None) -> str:
+    """A residual beyond the measured noise, by chi-square per degree of freedom [1] and its p-value."""
+    assert reduced is not None
+    return (
+        f"the residual is {np.sqrt(reduced):.3g} times what the measured noise explains (chi-square per "
+        f"degree of freedom {reduced:.3g}, p = {p_value:.2g})"
     )
-    return [Finding("model-mismatch", message)]
 
 
 def parameter_findings(
@@ -309,9 +308,7 @@ def parameter_findings(
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Warnings on damping ratios impossible for a passive oscillator, and on models without oscillating
-    modes.
-    """
+    """Warnings on damping ratios impossible for a passive oscillator, or without oscillation."""
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
     text = [
         f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning"
@@ -328,10 +325,7 @@ def quality_findings(
     response: FrequencyResponse, rows: list[int], columns: list[int], lines: BoolArray
 ) -> list[Finding]:
     """A warning where much of a response on the fit's *lines*, a mask (n_frequency,), is noise, by its power
-    over all of them.
-
-    The fit weighs lines by their noise, so single lines of low coherence, beside a resonance or at an
-    antiresonance, do no harm. None where it is motion that has not died away.
+    over all of them: single ones of low coherence do no harm. None for motion that has not died away.
     """
     if is_unsettled(response.findings):
         return []
@@ -354,10 +348,8 @@ def quality_findings(
 
 
 def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
-    """Largest share of a response's power that is noise; power due to the forces and *coherence* (n_line,
-    n_output[, n_input]).
-
-    Forces count as equally strong at all lines: explained / coherence is the whole power.
+    """Largest share of a response's power that is noise, by the power *explained* and *coherence* (n_line,
+    n_output[, n_input]) of forces as strong at all lines.
     """
     whole = np.divide(explained, coherence, out=np.zeros_like(explained), where=coherence > 0)
     total = np.sum(whole, axis=0)
@@ -366,9 +358,7 @@ def _noise_share(explained: FloatArray, coherence: FloatArray) -> float:
 
 
 def covariance_findings(response: FrequencyResponse) -> list[Finding]:
-    """A warning where the noise of the FRF is not known: nothing then tells a right model from a wrong one
-    that follows the curve.
-    """
+    """A warning where the noise of the FRF is not known."""
     if response.stored_covariance is not None:
         return []
     message = (
@@ -379,19 +369,14 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
     return [Finding("no-covariance", message)]
 
 
-# unphysical: a resonance that the structure cannot have, or that the band does not hold, however well the
-# curve follows.
-
-
 def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], setup: Setup) -> list[Finding]:
     """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative
     damping, resonance beside it.
 
-    They do not wait for significance, which is for coefficients that may be zero: a mode has a mass and
-    damping. Without an estimated mass the band may well lie beside the resonance, and coefficients stand for
-    themselves. What a closed loop holds need have no resonance.
+    They do not wait for significance, which is for coefficients that may be zero. With a given mass the band
+    may lie beside the resonance; what a closed loop holds need have none.
     """
-    if not setup.settings.kind.one_mode or setup.settings.mass != ESTIMATE:
+    if not setup.settings.kind.one_mode or not setup.settings.frees_mass:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
     beside = [] if setup.closed_loop else _beside(by_name, band)
@@ -445,8 +430,8 @@ def _beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> list[st
 
 # leakage: blocks of random data too short for the damping that a fit found, and the length that would do.
 
-# Lines in the half-power width of a mode below which its damping is biased by more than its standard error;
-# below which the expected leakage, though part of the model (ml of an H1), decides on it.
+# Lines in the half-power width of a mode below which its damping is biased by more than its standard error,
+# and by which the leakage in the model (ml of an H1) decides on it.
 ENOUGH_LINES, FEWEST_LINES = 10.0, 1.5
 # Lines in the half-power width times degree of local polynomials below which their bias counts against the
 # standard error: 16 lines for degree 2 and 8 for degree 4 leave 95 % of the intervals right, half as many 88
@@ -459,10 +444,7 @@ BIAS, FALL, TOO_WIDE = 14.0, 1.6, 1.25
 
 def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
     """A warning where the block times the half-power width 2 zeta f_n [lines] of the most lightly damped mode
-    in the band is small.
-
-    *whole*: K, C and M of the fitted model. Nothing for data that are not random, or a model without modes in
-    the band.
+    in the band is small; *whole*: K, C and M of the fitted model. Nothing without random data or modes there.
     """
     blocks = measured.blocks
     narrowest = None if blocks is None else _narrowest(measured, whole)

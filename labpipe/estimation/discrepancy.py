@@ -7,14 +7,13 @@ course with E delta_i delta_j^* = b_i b_j^* kappa(|f_i - f_j| / l), kappa(u) = (
 resonance: damping law, nonlinearity, drift). Amplitude 0 is the model as it is. Beside the model stand named
 extensions: a second mode in the band, and a resonance that moves while it is measured.
 
-Bayesian model averaging of a discrepancy (Kennedy and O'Hagan, JRSS B 63 (2001) 425; Brynjarsdottir and
-O'Hagan, Inverse Problems 30 (2014) 114007).
+(Kennedy and O'Hagan, JRSS B 63 (2001) 425; Brynjarsdottir and O'Hagan, Inverse Problems 30 (2014) 114007.)
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +33,7 @@ from labpipe.estimation.mode_model import (
     second_beside_moving,
 )
 from labpipe.estimation.statistics import mixture_interval
+from labpipe.records.finding import NORMAL
 
 # Priors of the members.
 LADDER = {AS_IT_IS: 0.8, SECOND: 0.1, **dict.fromkeys(MOVED, 0.025)}
@@ -47,12 +47,8 @@ FARTHEST = 4.0
 LINEARISATIONS, LARGEST_STEP, SMALL_STEP = 3, 0.7, 0.02
 # The excess of an interval over that of noise counts by this factor.
 CALIBRATION = 1.5
-NORMAL = float(special.ndtri(0.975))
 # Lines below which, and half-power widths of a band below which, a course cannot be told from the resonance.
 FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
-
-
-# Courses of a discrepancy, and what the data say of each.
 
 
 @dataclass(frozen=True)
@@ -105,10 +101,7 @@ def lengths_of(base: Fitted) -> dict[str, FloatArray]:
 
 
 def course(base: Fitted, kind: str, length: float) -> Course:
-    """A course beside the measured noise.
-
-    The phases of b only turn the eigenvectors, so the problem is real.
-    """
+    """A course beside the measured noise; phases of b only turn the eigenvectors: the problem is real."""
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
     matrix = matern(curve.frequency, curve.frequency, length) * size * size[:, None]
@@ -128,9 +121,7 @@ def larger_noise(base: Fitted) -> Course:
 def courses_beside(
     base: Fitted, first: Course, amplitude: float, tried: Sequence[tuple[str, float]]
 ) -> list[Course]:
-    """Courses of types and lengths [Hz] as *tried*, but for those like the first one, beside the noise and
-    this one of *amplitude* [1].
-    """
+    """Courses as *tried*, none like the *first*, beside the noise and this one of *amplitude* [1]."""
     curve = base.model.curve
     # Whitening of noise and first course: (I + a^2 L)^-1/2 of the rotated, whitened lines.
     whitening = (first.rotate.T / np.sqrt(1 + amplitude**2 * first.eigenvalues)).T
@@ -154,9 +145,9 @@ def courses_beside(
 @dataclass(frozen=True)
 class Evidence:
     """What the data say of a member with each course at all amplitudes: ln of the restricted marginal
-    likelihood (n_course, n_amplitude) [1], minus infinity where there is no solution; mean (n_course,
-    n_amplitude, n_kept) and covariance (n_course, n_amplitude, n_kept, n_kept) of what the model keeps;
-    *theta* (n_course, n) [1]: where each ended.
+    likelihood (n_course, n_amplitude) [1], minus infinity without a solution; mean (n_course, n_amplitude,
+    n_kept) and covariance (n_course, n_amplitude, n_kept, n_kept) of what the model keeps; *theta* (n_course,
+    n) [1]: the ends.
     """
 
     log: FloatArray
@@ -221,8 +212,8 @@ def evidence(
 def _linearised(
     of: Course, fit: Fitted, theta: FloatArray, at: tuple[ComplexArray, ...], prior: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Lengths of the columns of J (n,), not finite where these have run away, and of columns over them F
-    (n_amplitude, n, n) and g (n_amplitude, n), with what of ln E needs no solution (n_amplitude,) [1].
+    """Lengths of the columns of J (n,), not finite if run away; of columns over them F (n_amplitude, n, n)
+    and g (n_amplitude, n); what of ln E needs no solution (n_amplitude,) [1].
     """
     r, j = of.rotate @ (fit.model.curve.values - at[0]), of.rotate @ at[1].T
     scale, away = np.sqrt(np.sum(np.abs(j) ** 2, axis=0)), fit.theta - theta
@@ -244,9 +235,8 @@ class Mixture:
 
     Components of these *names* (member and type, "+" beside a second course, "" for the model as it is) with
     *weights* (n_component,) [1], means (n_component, n_kept) and covariances (n_component, n_kept, n_kept)
-    [1] of what is kept; *noise*: covariance (n_kept, n_kept) by noise alone; at: the ordinary fit; second:
-    frequency of a second mode [Hz], motion: relative rms motion of the resonance, each where its member has
-    weight.
+    [1] of what is kept; *noise*: covariance (n_kept, n_kept) by noise alone; *base*: the ordinary fit;
+    second: frequency of a second mode [Hz], motion: relative rms motion of the resonance, if any.
     """
 
     names: Sequence[str]
@@ -259,9 +249,7 @@ class Mixture:
     motion: float | None = None
 
     def interval(self, row: FloatArray) -> tuple[float, float, float]:
-        """Mean, lower and upper end of *row* (n_kept,) [any unit] times what is kept: 2.5 and 97.5 % of the
-        mixture.
-        """
+        """Mean, 2.5 and 97.5 % of the mixture of *row* (n_kept,) [any unit] times what is kept."""
         means, deviations = np.vecdot(self.means, row), np.sqrt(np.vecdot(row @ self.covariances, row))
         return float(self.weights @ means), *mixture_interval(self.weights, means, deviations)
 
@@ -312,15 +300,14 @@ def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
     """The mixture, with *others* of the same mode beside it where there are any."""
     if not others:
         return first
-    parts = {field.name: getattr(first, field.name) for field in fields(first)}
-    return Settled(**parts, others=others)
+    return Settled(**vars(first), others=others)
 
 
 def mixture(base: Fitted) -> Mixture:
     """Every member of the ladder with every course at every amplitude, weighted by evidence and prior.
 
-    *base*: the ordinary fit. FitError where the band is too narrow, or the lines too few, for a course to be
-    told from the resonance. Equation (unc-discrepancy).
+    *base*: the ordinary fit. FitError where band or lines do not tell a course from the resonance. Equation
+    (unc-discrepancy).
     """
     model = base.model
     b = half_width(model, base.theta)
@@ -366,8 +353,8 @@ def mixture(base: Fitted) -> Mixture:
 
 @dataclass(frozen=True)
 class _Scan:
-    """What the data say of a *fit* with *courses*: ln *prior* and ln of the weights of the components
-    (n_course, n_amplitude) [1], minus infinity where there is none.
+    """What the data say of a *fit* with *courses*: ln of *prior* and weights (n_course, n_amplitude) [1] of
+    the components, minus infinity where there is none.
     """
 
     fit: Fitted

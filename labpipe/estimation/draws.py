@@ -1,7 +1,6 @@
 """Intervals by drawing: the fit repeated on random noise, and on drawn errors of every number that was given.
 
-JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where first order is
-not enough.
+JCGM 101:2008 (GUM Supplement 1): the check of the first-order budget, and the interval where that fails.
 """
 
 from __future__ import annotations
@@ -15,8 +14,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.budget import Case, sources_of
-from labpipe.estimation.budget import Refit as BudgetRefit
+from labpipe.estimation.budget import Case, Refit, sources_of
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.weights import has_noise, whitener
 from labpipe.records.finding import Finding, Parameter
@@ -26,14 +24,12 @@ FEWEST_REPEATS = 50
 # Largest share of failed refits: above it the intervals would be biased towards the successful ones.
 MOST_FAILED = 0.05
 
-Refit = Callable[[Measured], tuple[Parameter, ...]]
-
 
 def bootstrap(
     parameters: tuple[Parameter, ...],
     measured: Measured,
     fitted: ComplexArray,
-    refit: Refit,
+    refit: Callable[[Measured], tuple[Parameter, ...]],
     repeats: int,
     name: str,
 ) -> tuple[tuple[Parameter, ...], str]:
@@ -42,24 +38,13 @@ def bootstrap(
     *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is
     reproducible. FitError for an unknown noise, too few repeats, or failed refits.
     """
-    if repeats < FEWEST_REPEATS:
-        raise FitError(
-            f"bootstrap: {repeats} repeats give no 95 % interval",
-            hint=f"at least {FEWEST_REPEATS}, 200 is usual",
-        )
-    if not has_noise(measured):
-        raise FitError(
-            "bootstrap needs the noise of the FRF, which is not known", hint="leave `bootstrap` out"
-        )
+    _check("bootstrap", repeats, f"at least {FEWEST_REPEATS}, 200 is usual", measured, FEWEST_REPEATS)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     refits: list[dict[str, float]] = []
     for _ in range(repeats):
         with contextlib.suppress(FitError):
             refits.append({p.name: p.value for p in refit(redrawn(measured, fitted, rng))})
-    if len(refits) < (1 - MOST_FAILED) * repeats:
-        raise FitError(
-            f"bootstrap: {repeats - len(refits)} of {repeats} refits failed", hint="widen the band"
-        )
+    _check_failed("bootstrap", len(refits), repeats)
     note = (
         f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's "
         "covariance (bootstrap)."
@@ -71,6 +56,20 @@ def bootstrap(
     return tuple(scattered), note
 
 
+def _check(key: str, n: int, usual: str, measured: Measured, fewest: int) -> None:
+    """FitError for fewer draws than an interval needs, and for an unknown noise."""
+    if n < fewest:
+        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=usual)
+    if not has_noise(measured):
+        what = f"{key} needs the noise of the FRF, which is not known"
+        raise FitError(what, hint=f"leave `{key}` out")
+
+
+def _check_failed(key: str, n_fit: int, n: int) -> None:
+    if n_fit < (1 - MOST_FAILED) * n:
+        raise FitError(f"{key}: {n - n_fit} of {n} refits failed", hint="widen the band")
+
+
 def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
     """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance.
 
@@ -80,7 +79,7 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     n = measured.covariance.shape[1]
     values, vectors = np.linalg.eigh(measured.covariance)
     if measured.noise is not None:
-        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n)[:, :, None])[:, :, 0]
+        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n))[:, :, 0]
         return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
     # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
     white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(
@@ -103,21 +102,18 @@ def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
 
 
 FEWEST_DRAWS = 200
-# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides what chance
-# leaves of so many draws.
+# Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides chance.
 ENOUGH = 0.05
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """Parameters with the intervals of the draws, their budget with the scatter of the draws, and what is to
-    be said of it.
-    """
+class Budgeted:
+    """Parameters with all uncertainties, their budget, with draws where there are any, and what is said."""
 
     parameters: tuple[Parameter, ...]
-    budget: Budget
-    findings: tuple[Finding, ...]
-    note: str
+    budget: Budget | None = None
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def propagate(
@@ -125,28 +121,19 @@ def propagate(
     parameters: Sequence[Parameter],
     budget: Budget,
     fitted: ComplexArray,
-    refit: BudgetRefit,
+    refit: Refit,
     draws: int,
-) -> Drawn:
+) -> Budgeted:
     """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error
     of its distribution.
 
     The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
     Equation (unc-first-order).
     """
-    if draws < FEWEST_DRAWS:
-        raise FitError(
-            f"monte_carlo: {draws} draws give no reliable interval",
-            hint=f"at least {FEWEST_DRAWS}, 2000 is usual",
-        )
-    if not has_noise(case.measured):
-        raise FitError(
-            "monte_carlo needs the noise of the FRF, which is not known", hint="leave `monte_carlo` out"
-        )
+    _check("monte_carlo", draws, f"at least {FEWEST_DRAWS}, 2000 is usual", case.measured, FEWEST_DRAWS)
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     values = [drawn for _ in range(draws) if (drawn := _draw(case, fitted, refit, rng)) is not None]
-    if len(values) < (1 - MOST_FAILED) * draws:
-        raise FitError(f"monte_carlo: {draws - len(values)} of {draws} refits failed", hint="widen the band")
+    _check_failed("monte_carlo", len(values), draws)
     columns = np.array(values)
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
@@ -156,12 +143,10 @@ def propagate(
         "(Monte Carlo, JCGM 101:2008)."
     )
     drawn_parameters = (_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True))
-    return Drawn(tuple(drawn_parameters), complete, findings, note)
+    return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
-def _draw(
-    case: Case, fitted: ComplexArray, refit: BudgetRefit, rng: np.random.Generator
-) -> FloatArray | None:
+def _draw(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Generator) -> FloatArray | None:
     """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
     for uncertainty, change in sources_of(case.setup, case.measured):
@@ -174,10 +159,8 @@ def _draw(
 
 
 def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
-    """An error [unit of the uncertainty] by its distribution: limits at sqrt(3) or sqrt(6) standard
-    uncertainties, Student's t, or normal.
-
-    Equation (unc-draw).
+    """An error [unit of the uncertainty]: limits at sqrt(3) or sqrt(6) standard uncertainties, Student's t,
+    or normal. Equation (unc-draw).
     """
     if uncertainty.shape == "rectangular":
         drawn = np.sqrt(3.0) * rng.uniform(-1.0, 1.0)
@@ -196,9 +179,7 @@ def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
 
 
 def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
-    """The parameters whose scatter is not what first order says, beyond chance (three standard deviations of
-    a scatter).
-    """
+    """The parameters whose scatter is not what first order says, beyond three standard deviations of it."""
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
     ratio = np.divide(

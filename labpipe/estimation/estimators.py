@@ -1,5 +1,4 @@
-"""Estimators of models linear in their parameters, as entries of the table: each with its properties, which
-code asks for by name.
+"""Estimators of models linear in their parameters, with the properties that code asks for.
 
 Every estimator is looked at when a pipeline is read, so what fits is imported by the first fit.
 """
@@ -48,16 +47,16 @@ class Estimator:
     step: Callable[[Case], Step] | None = None
 
 
-def _least_squares(measured: Measured, model: Any, weight: str) -> Estimate:
-    from labpipe.estimation.regression import least_squares
+def _regression() -> Any:
+    from labpipe.estimation import regression
 
-    return least_squares(measured, model, weight)
+    return regression
 
 
-def _instrumental(measured: Measured, model: Any, weight: str) -> Estimate:
-    from labpipe.estimation.regression import instrumental_variables
+def _budget() -> Any:
+    from labpipe.estimation import budget
 
-    return instrumental_variables(measured, model, weight)
+    return budget
 
 
 def _maximum_likelihood(measured: Measured, model: Any, weight: str) -> Estimate:
@@ -72,34 +71,20 @@ def _amplitudes(measured: Measured, model: Any, weight: str) -> Estimate:
     return amplitude_fit(measured, model, weight)
 
 
-def _least_squares_step(case: Case) -> Step:
-    from labpipe.estimation.budget import least_squares_step
-
-    return least_squares_step(case)
-
-
-def _instrumental_step(case: Case) -> Step:
-    from labpipe.estimation.budget import instrumental_step
-
-    return instrumental_step(case)
-
-
-def _likelihood_step(case: Case) -> Step:
-    from labpipe.estimation.budget import likelihood_step
-
-    return likelihood_step(case)
-
-
 LS = Estimator(
-    _least_squares,
+    lambda *of: _regression().least_squares(*of),
     refuses=("damping",),
     linear=True,
     models_leakage=False,
     unbiased=False,
-    step=_least_squares_step,
+    step=lambda case: _budget().least_squares_step(case),
 )
-IV = replace(LS, fit=_instrumental, step=_instrumental_step)
-ML = Estimator(_maximum_likelihood, likelihood=True, step=_likelihood_step)
+IV = replace(
+    LS,
+    fit=lambda *of: _regression().instrumental_variables(*of),
+    step=lambda case: _budget().instrumental_step(case),
+)
+ML = Estimator(_maximum_likelihood, likelihood=True, step=lambda case: _budget().likelihood_step(case))
 # Without a phase, and of few equations: the fit is repeated.
 AMPLITUDE = Estimator(
     _amplitudes, refuses=("damping",), linear=True, one_frf=True, models_leakage=False, phase=False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -18,18 +19,17 @@ from labpipe.estimation.budget import (
     most_likely,
     sources_of,
     with_contributions,
-    with_given_mass,
 )
 from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
-from labpipe.estimation.draws import bootstrap, propagate
+from labpipe.estimation.draws import Budgeted, bootstrap, propagate
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.mismatch import Judgement, by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
-from labpipe.estimation.model_error import ModelError, with_interval_parts
+from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.repeated import over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
@@ -41,7 +41,7 @@ from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
-from labpipe.records.uncertain import Budget, Uncertainty
+from labpipe.records.uncertain import Uncertainty
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.convert import FormView
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -59,28 +59,55 @@ def identify(
     """Fit the settings' model to a response, free decays or spectra: one Fit, or one per band or chosen peak.
 
     *judging*: what a residual that is not noise shows widens the intervals, and the given mass is held
-    against a free one; without it the intervals are those of the estimator alone, of unknown noise by the
-    scatter of every line, which studies and repeats take, at a fraction of the time. *earlier*: fits that the
-    settings name, such as the baseline of a floating bearing. Raises ConfigError where settings and
-    measurement do not fit together, FitError where the data cannot support the fit.
+    against a free one; without it, as for studies and repeats, the intervals are those of the estimator
+    alone, of unknown noise by the scatter of every line. *earlier*: fits that the settings name, such as the
+    baseline of a floating bearing. ConfigError where settings and measurement do not fit together, FitError
+    where the data cannot support the fit.
     """
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
     check_kind(settings, _kind_of(measured))
+    if settings.peaks and isinstance(measured, FrequencyResponse):
+        terms = (_diagonal_term(measured, settings, *peaks, judging) for peaks in settings.peaks)
+        return tuple(itertools.chain(*terms))
+    repeated = judging and settings.repeats == "each"
+    if repeated and isinstance(measured, FrequencyResponse):
+        _check_repeats(measured, settings)
     fits = _fits(measured, settings, judging)
     if isinstance(measured, FrequencyResponse):
-        if settings.repeat_groups and measured.repeats is None:
-            what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
-            raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
-        if judging and settings.repeats == "each" and measured.repeats is not None:
+        if repeated and measured.repeats is not None:
             fits = over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             derived.with_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
             for fit in fits
         )
-    if settings.kind.times_mass:
-        fits = tuple(with_given_mass(fit, settings) for fit in fits)
-    return tuple(with_interval_parts(with_contributions(fit, settings.coverage)) for fit in fits)
+    return tuple(with_contributions(fit, settings.coverage) for fit in fits)
+
+
+def _diagonal_term(
+    response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
+) -> tuple[Fit, ...]:
+    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
+    of_term = replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,))
+    try:
+        fits = identify(response, of_term, judging=judging)
+    except LabpipeError as error:
+        error.what = f"term {dof}: {error.what}"
+        raise
+    return tuple(replace(fit, term=dof) for fit in fits)
+
+
+def _check_repeats(measured: FrequencyResponse, settings: FitSettings) -> None:
+    """SettingError for keys that have no meaning with, or without, repeats."""
+    if measured.repeats is None:
+        if settings.repeat_groups:
+            what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
+            raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
+        return
+    for key in ("bootstrap", "monte_carlo"):
+        if getattr(settings, key):
+            what = f"'{key}' draws the noise of one fit, and each of the {measured.repeats_are} has its own"
+            raise SettingError(key, what, f"{key}: 0, or repeats: pool")
 
 
 def _fits(
@@ -102,13 +129,7 @@ def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
 def fit_linear(
     response: FrequencyResponse, settings: FitSettings, *, judging: bool = True
 ) -> tuple[Fit, ...]:
-    """Fits of a model linear in its parameters: one per band or chosen peak; *judging* as for `identify`."""
-    if settings.peaks:
-        return tuple(
-            fit
-            for dof, bands in settings.peaks
-            for fit in _diagonal_term(response, settings, dof, bands, judging)
-        )
+    """Fits of a model linear in its parameters, one per band; *judging* as for `identify`."""
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
@@ -116,8 +137,8 @@ def fit_linear(
     view, model = form_view(response.form, settings), _model(setup)
     fits, bands = [], _bands(response, settings)
     for band, lines in bands:
-        measured = measured_part(response, rows, columns, lines, view)
         try:
+            measured = measured_part(response, rows, columns, lines, view)
             fit = _fit_band(setup, model, measured, band, len(bands), judging)
         except FitError as error:
             what = f"band {band[0]:g}-{band[1]:g} Hz: {error.what}"
@@ -128,29 +149,14 @@ def fit_linear(
             *diagnostics.covariance_findings(response),
             *drift,
         )
-        # Bands of a sliding fit are drawn as coefficients over frequency; what is only counted is not drawn.
+        # Sliding bands are drawn as coefficients over frequency, what is only counted not at all.
         curve = _curve(view, measured, fit, dense=judging and len(bands) == 1)
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
     return tuple(fits)
 
 
-def _diagonal_term(
-    response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
-) -> list[Fit]:
-    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
-    of_term = replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,))
-    try:
-        fits = identify(response, of_term, judging=judging)
-    except LabpipeError as error:
-        error.what = f"term {dof}: {error.what}"
-        raise
-    return [replace(fit, term=dof) for fit in fits]
-
-
 def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
     """Bands of *width* every *step* [Hz] that lie in the whole band: 1-250 Hz by 15/3 Hz gives 79."""
-    if width <= 0 or step <= 0:
-        raise ConfigError("width and step of sliding bands must be positive")
     count = int(np.floor((whole[1] - whole[0] - width) / step + 1e-9)) + 1
     if count < 1:
         raise ConfigError(f"no band of {width:g} Hz fits into {whole[0]:g}-{whole[1]:g} Hz")
@@ -158,10 +164,7 @@ def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
 
 
 def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, BoolArray]]:
-    """Every band with its lines.
-
-    Sliding bands hold the lines from their lower edge up to, not including, the upper one.
-    """
+    """Every band with its lines; those of sliding ones go up to, not including, the upper edge."""
     frequency = response.frequency
     if settings.bands:
         return [(band, lines_in(frequency, band)) for band in settings.bands]
@@ -174,9 +177,7 @@ def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Ban
 
 @dataclass(frozen=True)
 class _BandFit:
-    """A fit, the model that it is of, and the receptance that this gives on the lines (n_line, n_output,
-    n_input).
-    """
+    """A fit, its model, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
 
     fit: Fit
     fitted: ComplexArray
@@ -185,10 +186,8 @@ class _BandFit:
 
 
 def _model(setup: Setup) -> derived.BandModel:
-    """The settings' model.
-
-    A transfer FRF of unknown mass has a residue of any sign and phase, which needs no linear equations, and
-    residual terms beside a mode do not either.
+    """The settings' model; the residue of a transfer FRF of unknown mass, of any sign and phase, and residual
+    terms beside a mode need no linear equations.
     """
     if _may_have_residuals(setup):
         if transfer_of(setup):
@@ -210,8 +209,8 @@ def _may_have_residuals(setup: Setup) -> bool:
 def _beside_others(
     setup: Setup, measured: Measured, estimate: Estimate, band: Band
 ) -> tuple[DrivingMode, Estimate, str] | None:
-    """The mode with residual terms, its estimate and a note, where a driving point gives no mode without
-    them: None where it does, or where none comes out with them either.
+    """The mode with residual terms, its estimate and a note, where a driving point gives a mode with them
+    alone; else None.
     """
     if not _may_have_residuals(setup) or transfer_of(setup) or setup.settings.sliding is not None:
         return None
@@ -234,16 +233,15 @@ def _beside_others(
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
-    """The settings' model less the parameters that were eliminated, so that those of *names* are left."""
+    """The settings' model less the parameters that were eliminated: those of *names* are left."""
     model = _model(setup)
     for name in model.names:
         if name not in names and isinstance(model, DynamicModel):
-            model = model.without(name)
+            model = model.fixed(name)
     return model
 
 
 def _estimate(measured: Measured, model: derived.BandModel, settings: FitSettings) -> Estimate:
-    """The estimate by the settings' estimator."""
     return settings.estimates.fit(measured, model, settings.weight)
 
 
@@ -281,7 +279,7 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     # Candidates show whether a damping law is justified.
-    of_model = estimator.likelihood and not settings.eliminate and not isinstance(model, TransferMode)
+    of_model = estimator.likelihood and not settings.eliminate
     compared_models, of_comparison = (
         candidates(measured, setup, estimate if of_model else None)
         if settings.compare or settings.damping != VISCOUS
@@ -308,24 +306,11 @@ def _fit_band(
     return _BandFit(fit, fitted, model, estimate.values)
 
 
-@dataclass(frozen=True)
-class _Budgeted:
-    """Parameters with all uncertainties, and what is to be said of them."""
-
-    parameters: tuple[Parameter, ...]
-    budget: Budget | None = None
-    findings: tuple[Finding, ...] = ()
-    notes: tuple[str, ...] = ()
-
-
 def _with_budget(
     case: Case, parameters: tuple[Parameter, ...], fitted: ComplexArray, factors: Mapping[str, float]
-) -> _Budgeted:
+) -> Budgeted:
     """The parameters with what given numbers add to their uncertainty, by first order and, if asked for, by
-    draws.
-
-    *factors* [1] by source: how much larger than stated its uncertainty counts. ConfigError for draws where
-    no number has an uncertainty.
+    draws. *factors* [1] by source: how much larger than stated its uncertainty counts.
     """
     if case.setup.settings.monte_carlo and not sources_of(case.setup, case.measured):
         what = "'monte_carlo' has nothing to draw: no given number has an uncertainty"
@@ -333,20 +318,18 @@ def _with_budget(
         raise SettingError("monte_carlo", what, hint)
     budget = budget_of(case, parameters)
     if budget is None:
-        return _Budgeted(parameters)
+        return Budgeted(parameters)
     budget = budget.enlarged(factors)
     expanded = derived.with_systematic(parameters, budget)
     draws = case.setup.settings.monte_carlo
     if not draws:
-        return _Budgeted(expanded, budget)
-    drawn = propagate(case, expanded, budget, fitted, _refit, draws)
-    return _Budgeted(drawn.parameters, drawn.budget, drawn.findings, (drawn.note,))
+        return Budgeted(expanded, budget)
+    return propagate(case, expanded, budget, fitted, _refit, draws)
 
 
 def _parameter_findings(
     parameters: tuple[Parameter, ...], band: Band, setup: Setup, measured: Measured, *, leaking: bool
 ) -> list[Finding]:
-    """Warnings on the parameters; those on the one mode of sdof say more than those on its coefficients."""
     of_mode = diagnostics.mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
     others = diagnostics.parameter_findings(parameters, driving=driving, held=setup.closed_loop)
@@ -366,7 +349,6 @@ def _with_honest_intervals(
     model: derived.BandModel,
     setup: Setup,
 ) -> tuple[Parameter, ...]:
-    """The parameters with the intervals that the judgement of the residual leaves them."""
     if isinstance(judgement.model_error, ModelError):
         return judgement.model_error.stated(parameters)
     if judgement.model_error is not None:
@@ -388,10 +370,9 @@ def _with_honest_intervals(
 
 @dataclass(frozen=True)
 class _Judged:
-    """An estimate whose chi-square allows for stated numbers, and the judgement of its residual.
-
-    *stated*: what these change of the residual, None without any; findings: those that the data contradict;
-    factors [1] by source: how much larger their uncertainty counts.
+    """An estimate whose chi-square allows for stated numbers, and the judgement of its residual; *stated*:
+    what these change of it, if any; findings: on those that the data contradict; factors [1] by source: how
+    much larger their uncertainty counts.
     """
 
     estimate: Estimate
@@ -402,9 +383,8 @@ class _Judged:
 
 
 def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
-    """Chi-square and judgement with every stated number where data and statements together have it.
-
-    Amplitudes alone and fits without convergence are judged as if all numbers were exact.
+    """Chi-square and judgement with every stated number where data and statements together have it; of
+    amplitudes alone and without convergence as if all numbers were exact.
     """
     estimate, settings = case.estimate, case.setup.settings
     unknown = estimate.gof.chi2_reduced is None
@@ -444,11 +424,9 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
 def _contradict(
     case: Case, uncertainties: tuple[Uncertainty, ...], assessed: Assessed
 ) -> tuple[tuple[Finding, ...], dict[str, float]]:
-    """Findings on stated numbers that the data contradict, and by what their uncertainty grows.
-
-    Where chi-square then is that of noise, or most of its excess is gone: else something other than a stated
-    number is wrong. Not in sliding bands: stiffness that changes with frequency looks like another mass
-    within a band.
+    """Findings on stated numbers that the data contradict, and by what their uncertainty grows, where
+    chi-square then is that of noise, or most of its excess is gone: else something else is wrong. Not in
+    sliding bands, where stiffness that changes with frequency looks like another mass.
     """
     settings, pulls = case.setup.settings, assessed.pulls
     before, after = case.estimate.gof.chi2_reduced, assessed.reduced
@@ -466,9 +444,8 @@ def _contradict(
 
 
 def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
-    """Stated numbers against the data, and a mass without uncertainty against a free one.
-
-    The latter for models linear in their parameters and responses of reliable phase to a force.
+    """Stated numbers against the data, and a mass without uncertainty against a free one: of models linear in
+    their parameters and responses of reliable phase to a force.
     """
     model, setup, values = case.model, case.setup, case.estimate.values
     of_base, has_error = setup.settings.kind.of_base, mass_uncertainty(setup.settings) is not None
@@ -478,19 +455,13 @@ def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
         return []
     chance = case.estimate.gof.chi2_p
     # A channel that is late makes any mass look wrong.
-    late = (
-        causes.delay_findings(case.measured, model, values)
-        if chance is not None and chance < diagnostics.MISMATCH_P
-        else []
-    )
-    return [
-        *judged.findings,
-        *(late or causes.mass_findings(case.measured, model, values, setup, judged.stated)),
-    ]
+    is_off = chance is not None and chance < diagnostics.MISMATCH_P
+    late = causes.delay_findings(case.measured, model, values) if is_off else []
+    of_mass = late or causes.mass_findings(case.measured, model, values, setup, judged.stated)
+    return [*judged.findings, *of_mass]
 
 
 def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:
-    """The parameters of one bootstrap repeat; FitError where the estimator does not converge."""
     estimate = _estimate(measured, model, setup.settings)
     if not estimate.converged:
         raise FitError("not converged")
@@ -500,9 +471,7 @@ def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[
 def _eliminate(
     measured: Measured, model: DynamicModel, estimate: Estimate, settings: FitSettings
 ) -> tuple[DynamicModel, Estimate, list[str]]:
-    """Backward elimination: the least significant parameter is set to zero and the fit repeated until all are
-    significant.
-    """
+    """Backward elimination: the least significant parameter is set to zero until all are significant."""
     notes: list[str] = []
     while sum(term.droppable for term in model.terms) > 1:
         std_errors = np.sqrt(np.diag(estimate.covariance))
@@ -511,22 +480,19 @@ def _eliminate(
             for number, term in enumerate(model.terms)
             if term.droppable and std_errors[number] > 0
         }
-        weakest = min(t_ratios, key=lambda number: t_ratios[number], default=None)
+        weakest = min(t_ratios, key=t_ratios.__getitem__, default=None)
         if weakest is None or t_ratios[weakest] > student_limit(int(estimate.student_dof[weakest])):
             break
         name = model.terms[weakest].name
-        notes.append(
-            f"{name} was dropped as insignificant (|t| = {t_ratios[weakest]:.2f}) and is taken as zero"
-        )
-        model = model.without(name)
+        t_ratio = f"|t| = {t_ratios[weakest]:.2f}"
+        notes.append(f"{name} was dropped as insignificant ({t_ratio}) and is taken as zero")
+        model = model.fixed(name)
         estimate = _estimate(measured, model, settings)
     return model, estimate, notes
 
 
 def _curve(view: FormView, measured: Measured, fit: _BandFit, *, dense: bool) -> FittedCurve:
-    """Measured and fitted FRF in the measured form; *dense*: with the model between the lines too, so close
-    that no resonance is cut off.
-    """
+    """Measured and fitted FRF in the measured form; *dense*: with the model between the lines too."""
     frequency = measured.omega / (2 * np.pi)
     factor = view.factor(frequency)[:, None, None]
     variance = measured.variance

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from labpipe.estimation.measured import Measured
     from labpipe.estimation.model import DynamicModel, FittedModel, ReceptanceModel, ResponseModel
 
-# Columns of the correlation formed together: enough to keep the overhead small, few enough for the memory.
+# Columns of the correlation formed together.
 COLUMNS_AT_ONCE = 64
 
 
@@ -37,9 +37,7 @@ class SharedNoise:
     gains: ComplexArray | None = None
 
     def times(self, columns: ComplexArray) -> ComplexArray:
-        """R X: the correlation matrix (n_line n_element)^2 [1] times *columns* (n_line, n_element, n_column)
-        [any unit].
-        """
+        """R X: the correlation matrix [1] times *columns* (n_line, n_element, n_column) [any unit]."""
         places = self._places
         spread = np.zeros((self._n_place, *columns.shape[1:]), np.complex128)
         for neighbour, gain in enumerate(self._factors):
@@ -50,12 +48,8 @@ class SharedNoise:
             sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors))
         )
 
-    def drawn(self, rng: np.random.Generator, n_element: int) -> ComplexArray:
-        """Circular normal noise of this correlation, (n_line, n_element) [1]."""
-        return self.drawn_often(rng, n_element, 1)[:, :, 0]
-
-    def drawn_often(self, rng: np.random.Generator, n_element: int, n_draw: int) -> ComplexArray:
-        """*n_draw* independent draws of it, (n_line, n_element, n_draw) [1]."""
+    def drawn(self, rng: np.random.Generator, n_element: int, n_draw: int = 1) -> ComplexArray:
+        """Independent draws of circular normal noise of this correlation, (n_line, n_element, n_draw) [1]."""
         kernel = self._kernel(self._n_place)
         power = np.maximum(fft.fft(kernel).real, 0.0)
         white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
@@ -95,9 +89,7 @@ class SharedNoise:
 
     @cached_property
     def _places(self) -> IntArray:
-        """Where the first neighbour of every line stands among all lines from the first to the last one,
-        (n_line,).
-        """
+        """Place of every line's first neighbour among all lines from the first to the last, (n_line,)."""
         return self.numbers - self.numbers[0]
 
     @property
@@ -105,9 +97,7 @@ class SharedNoise:
         return int(self._places[-1]) + self._factors.shape[0]
 
     def _by_distance(self, columns: ComplexArray) -> ComplexArray:
-        """The Toeplitz matrix of the correlation times *columns* (n_place, ...) [any unit], as a circular
-        convolution.
-        """
+        """The correlation's Toeplitz matrix times *columns* (n_place, ...), as a circular convolution."""
         n = columns.shape[0]
         kernel = self._kernel(n)
         shape = (-1,) + (1,) * (columns.ndim - 1)
@@ -145,9 +135,7 @@ class LineBlocks:
     pairs: tuple[LinePairs, ...]
 
     def times(self, columns: ComplexArray) -> ComplexArray:
-        """R X + T X*: the covariance of real and imaginary parts times *columns* (n_line, n_element,
-        n_column) [any unit].
-        """
+        """R X + T X*: the noise's covariance times *columns* (n_line, n_element, n_column) [any unit]."""
         product = np.zeros_like(columns)
         for distance, pair in enumerate(self.pairs):
             # A line occurs once among the first ones, and once among the second ones of its distance.
@@ -176,11 +164,9 @@ class LineBlocks:
 
 @dataclass(frozen=True)
 class SharedResidual:
-    """What shared noise does to a weighted fit: the covariance of its estimates and the moments of its
-    residual.
-
-    covariance (n_parameter, n_parameter) [parameter units]; mean and dof [1]: the sum of squares of the
-    residual is like chi-square of *dof* degrees of freedom, scaled to *mean*.
+    """What shared noise does to a weighted fit: the *covariance* (n_parameter, n_parameter) [parameter units]
+    of its estimates; the residual's sum of squares is like chi-square of *dof* degrees of freedom, scaled to
+    *mean* [1].
     """
 
     covariance: FloatArray
@@ -211,9 +197,6 @@ def shared_residual(
     )
     return SharedResidual(half @ inverse, mean, mean**2 / spread)
 
-
-# Leakage of random data as part of the model: the expected H1 of a model, and the part of its scatter that
-# is leakage, not noise.
 
 # Lines to either side over which the noise beside the leakage is averaged, and rounds of that average.
 HALF_WIDTH, ROUNDS = 8, 4
@@ -284,7 +267,6 @@ class Leakage:
     @cached_property
     def _weights(self) -> Any:
         """Weights of the points of every line as a sparse matrix (n_line, n_every) [1]."""
-
         omega, place = self.grid
         n_line, n_point = place.shape
         weights = (self.kernel.weights * self._factors).ravel()
@@ -346,9 +328,8 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
     their residual's power gives.
 
     The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block
-    loses at its end the next one has too much, so that the mean over overlapping blocks scatters less than
-    its residual tells; from line to line it is correlated otherwise than noise. None without leakage or
-    noise.
+    loses at its end the next has too much, so that the mean over overlapping blocks scatters less than its
+    residual tells, correlated otherwise from line to line. None without leakage or noise.
     """
     leakage = measured.leakage
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
@@ -375,9 +356,7 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
 
 
 def _force_power(measured: Measured) -> FloatArray:
-    """Power of every force relative to the first, (n_input,) [1]: noise of H is as large as that of the
-    outputs over the force.
-    """
+    """Power of every force relative to the first, (n_input,) [1], by the noise of H, which is over it."""
     assert measured.covariance is not None
     _, n_output, n_input = measured.matrix.shape
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
@@ -386,17 +365,13 @@ def _force_power(measured: Measured) -> FloatArray:
 
 
 def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> ComplexArray:
-    """Covariance (n_line, n, n) [m^2/N^2] of H from the leakage in a single block's residual, as if blocks
-    were independent.
-    """
+    """Covariance (n_line, n, n) [m^2/N^2] of H by leakage in a block's residual, as of independent blocks."""
     weighted = deviation * (leakage.kernel.weights[:, None, None] * power)
     return _by_force(_rows(weighted) @ hermitian(_rows(deviation)), power)
 
 
 def _rows(deviation: ComplexArray) -> ComplexArray:
-    """Values (n_line, n_point, n_output, n_input) as rows of an output's numbers, (n_line, n_output, n_point
-    n_input) [their unit].
-    """
+    """Values (n_line, n_point, n_output, n_input) by output, (n_line, n_output, n_point n_input)."""
     n_line, n_point, n_output, n_input = deviation.shape
     return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
 
@@ -404,8 +379,7 @@ def _rows(deviation: ComplexArray) -> ComplexArray:
 def _scatter(
     leakage: Leakage, deviation: ComplexArray, power: FloatArray, distance: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """E[d_k d_l^H] and E[d_k d_l^T] (n_pair, n, n) [m^2/N^2] of the leakage d in H1 of lines *distance*
-    apart.
+    """E[d_k d_l^H] and E[d_k d_l^T] (n_pair, n, n) [m^2/N^2] of the leakage d of lines *distance* apart.
 
     Of circular normal values, over blocks t apart: sum_t (1 - |t| / K) E_t conj(P_t) / K with E_t of the
     residuals, P_t of the forces, and sum_t (1 - |t| / K) Q_t(k, l) Q_-t(l, k) / K with Q_t between the
@@ -431,18 +405,14 @@ def _scatter(
 
 
 def _by_force(products: ComplexArray, power: FloatArray) -> ComplexArray:
-    """Covariance (n_pair, n, n) of vec(H) from that of the outputs (n_pair, n_output, n_output): each force
-    for itself, over its power.
-    """
+    """Covariance (n_pair, n, n) of vec(H) from the outputs' (n_pair, n_output, n_output), over each force."""
     n_pair, n_output, _ = products.shape
     n = n_output * power.size
     return np.einsum("kop,ij->koipj", products, np.diag(1 / power)).reshape(n_pair, n, n)
 
 
 def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexArray:
-    """The noise (n_line, n, n) in the measured covariance beside the leakage: the mean over neighbours,
-    weighted by the sum of both.
-    """
+    """The noise (n_line, n, n) beside the leakage: a mean over neighbours weighted by the sum of both."""
     every = np.ones(covariance.shape[0], bool)
     beside = covariance - apparent
     noise = neighbourhood_mean(covariance, every, HALF_WIDTH)
@@ -457,9 +427,7 @@ def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexAr
 
 
 def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
-    """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole* (n_line, n,
-    n).
-    """
+    """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole*."""
     size = np.sqrt(np.einsum("lii->li", whole).real)
     outer = size[:, :, None] * size[:, None, :]
     values, vectors = np.linalg.eigh(without_rounding(noise / outer))

@@ -4,6 +4,7 @@ linear.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -37,8 +38,8 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
     """The fits of one name, that of the highest level with a finding where it differs from that of the lowest
     by more than noise.
 
-    *conditions* of every test by its name. Tests are compared whose conditions are the same but for the
-    level, bands and terms alike. Equation (est-levels).
+    *conditions* of every test by its name: compared are tests, bands and terms alike but for the level.
+    Equation (est-levels).
     """
     groups: dict[tuple[object, ...], list[_Test]] = {}
     for fit in fits:
@@ -47,30 +48,24 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
             text = str(stated[levels[0]])
-            try:
-                level = si_amount(text)[0]
-            except UnitError:
-                level = float("nan")
-            group = groups.setdefault((levels[0], others, fit.band_hz, fit.term), [])
-            group.append(_Test(fit, text, level))
+            # "full" is no number, and not above or below any.
+            with contextlib.suppress(UnitError):
+                level, unit = si_amount(text)
+                group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
+                group.append(_Test(fit, text, level))
     new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 
 
 def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
-    """The finding of the highest level against the lowest; none where levels are no numbers, or one."""
-    ascending = sorted(tests, key=lambda test: test.level)
-    low, high = ascending[0], ascending[-1]
-    if not low.level < high.level:
-        return []
-    message = _difference(low, high)
+    """The finding of the highest level against the lowest; none of one level alone."""
+    low, high = min(tests, key=lambda test: test.level), max(tests, key=lambda test: test.level)
+    message = _difference(low, high) if low.level < high.level else ""
     return [(high, Finding("amplitude", message))] if message else []
 
 
 def _difference(low: _Test, high: _Test) -> str:
-    """What changed, or nothing where noise explains it: by one factor of all stiffness, of all damping, or
-    coefficient by coefficient.
-    """
+    """What changed beyond noise, if anything: all stiffness, all damping, or coefficient by coefficient."""
     before, after = _estimates(low.fit), _estimates(high.fit)
     if not before or [parameter.name for parameter in before] != [parameter.name for parameter in after]:
         return ""
@@ -103,10 +98,7 @@ def _estimates(fit: Fit) -> list[Parameter]:
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
-    """Covariance (n, n) of the estimates, enlarged where the residual exceeds the noise.
-
-    Given numbers are the same at both levels.
-    """
+    """Covariance (n, n) of the estimates with model error; given numbers are the same at both levels."""
     errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
     by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:

@@ -53,9 +53,8 @@ def starts(
     """The start of the lowest chi-square, then others: the last pass, plain least squares, the first pass.
 
     Plain least squares is biased by noise; reweighting the equation error by Z^-1 of the last iterate
-    (Sanathanan and Koerner 1963) makes it nearly an output error and needs no good start. It ends after two
-    successive passes with hardly lower chi-square, or where by the *p_value* of chi-square, of a known noise,
-    noise explains the residual: the minimum is near.
+    (Sanathanan and Koerner 1963) makes it nearly an output error. It ends after two successive passes with
+    hardly lower chi-square, or where by the *p_value* of chi-square noise explains the residual.
     """
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
@@ -101,10 +100,7 @@ def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArr
 
 
 def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
-    """The same from products line by line, without weights and Z_last^-1 where there is no *last*.
-
-    None where they are too inexact.
-    """
+    """The same from products line by line, without weights and Z_last^-1 if no *last*; None if inexact."""
     measured, linear = problem.measured, problem.model.linear
     weights = problem.weights
     if last is None:
@@ -134,12 +130,12 @@ def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | No
     return values
 
 
-# p-value of a minimum below which, as without convergence, further starts are tried.
+# p-value of a minimum below which further starts are tried.
 SUSPECT_P = 1e-3
 UNWEIGHTED_NOTE = (
     "ml: the noise of the FRF is not known (no covariance, or noise-free data), so all lines have equal "
-    "weight, the standard "
-    "errors come from the residual, and the chi-square test of the model is not possible."
+    "weight, the standard errors come from the residual, and the chi-square test of the model is not "
+    "possible."
 )
 
 
@@ -153,19 +149,12 @@ def maximum_likelihood(
     """Weighted output-error estimate with standard errors from the information matrix, cov = (J^T J)^-1.
 
     Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all
-    lines have equal weight and the residual gives the standard errors. *most_steps* bounds the descent from
-    each start. FitError for fewer equations than parameters, or for a covariance that cannot be inverted.
-    Equation (est-ml).
+    lines have equal weight and the residual gives the standard errors. *most_steps* bounds each descent.
+    FitError for fewer equations than parameters, or a covariance without inverse. Equation (est-ml).
     """
     if isinstance(model, TransferMode):
         return _of_transfer_mode(measured, model)
-    n_parameter = len(model.names)
-    dof = measured.n_equation - n_parameter
-    if dof <= 0:
-        raise FitError(
-            f"{measured.n_equation} real equations cannot determine {n_parameter} parameters",
-            hint="widen the band",
-        )
+    dof = _dof(measured, model)
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError(measured, expected(measured, model), fit_weights(measured))
@@ -175,6 +164,15 @@ def maximum_likelihood(
 
     best, start = _best_minimum(problem, p_value if weighted else None, most_steps)
     return _estimate(measured, model, problem, best, start.name)
+
+
+def _dof(measured: Measured, model: FittedModel) -> int:
+    """Equations less parameters; FitError for none."""
+    n_parameter = len(model.names)
+    if measured.n_equation <= n_parameter:
+        what = f"{measured.n_equation} real equations cannot determine {n_parameter} parameters"
+        raise FitError(what, hint="widen the band")
+    return measured.n_equation - n_parameter
 
 
 def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
@@ -202,12 +200,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is
     near; *name* of the start.
     """
-    n_parameter = len(model.names)
-    if measured.n_equation <= n_parameter:
-        raise FitError(
-            f"{measured.n_equation} real equations cannot determine {n_parameter} parameters",
-            hint="widen the band",
-        )
+    _dof(measured, model)
     problem: OutputError[ReceptanceModel] = OutputError(
         measured, expected(measured, model), fit_weights(measured)
     )
@@ -218,7 +211,7 @@ def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
     """The estimate at a minimum of *problem*, with its uncertainty."""
-    n_parameter, dof = len(model.names), measured.n_equation - len(model.names)
+    n_parameter, dof = len(model.names), _dof(measured, model)
     linear = problem.linearised(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
     residual = measured.matrix - problem.model.receptance(best.values, measured.omega)
@@ -248,8 +241,7 @@ class Assessed:
     where the noise is known.
 
     *inverse* (J^T J)^-1 (n, n) of the whitened Jacobian; *reduced* chi-square per degree of freedom with its
-    *p_value*, None for an unknown noise, whose size the residual gives. *pulls* of stated numbers, whose most
-    likely values chi-square allows for.
+    *p_value*, None for an unknown noise; *pulls* of stated numbers, whose likeliest values these allow for.
     """
 
     covariance: FloatArray
@@ -270,9 +262,8 @@ def assess(
     """The uncertainty of the minimum *values* (n,) [parameter units] of *problem*; *model*: that of the data,
     its parameters first among them.
 
-    *linear*: the linearisation there, where it is at hand. Correction for weights from an estimated
-    covariance and for noise that lines share as in `weights`. *stated*: numbers that chi-square allows for,
-    of a known noise. Equation (est-unweighted).
+    *linear*: the linearisation there, where it is at hand. Corrections for weights and shared noise as in
+    `weights`. *stated*: numbers that chi-square allows for. Equation (est-unweighted).
     """
     linear = linear or problem.linearised(values)
     inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size
@@ -291,8 +282,7 @@ def assess(
     pulls = None
     if stated is not None:
         jacobian, residual = problem.jacobian(values), problem.residual(values)
-        # An estimate other than ml is no minimum: what the parameters would still take away says nothing of
-        # stated numbers.
+        # Of another estimate than ml, what the parameters would still take away says nothing of the numbers.
         residual = residual - jacobian @ (inverse @ (jacobian.T @ residual))
         larger = float(np.max(np.diag(covariance) / np.diag(inverse)))
         pulls = pulls_of(residual, stated, jacobian, inverse, larger)
@@ -304,11 +294,7 @@ def assess(
 def _best_minimum(
     problem: OutputError[ResponseModel], p_value: Callable[[float], float] | None, most_steps: int
 ) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts.
-
-    Further starts only where the *p_value* of the last minimum's chi-square, of a known noise, makes it
-    suspect.
-    """
+    """The lowest minimum of the starts; further ones only where *p_value* makes the last minimum suspect."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem, p_value):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)

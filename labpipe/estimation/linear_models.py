@@ -1,12 +1,9 @@
 """Models linear in their parameters: one mass, a rotor on two axes, many degrees of freedom, a moving base.
 
-base: a mass on a spring and a damper whose base moves; its transmissibility, absolute or relative to the
-base.
-
-m x'' = -k (x - b) - c (x' - b'). Absolute T = X / B = (k + j w c) / (k + j w c - w^2 m), relative T_r = (X -
-B) / B = T - 1 = w^2 m / (k + j w c - w^2 m) (Thomson and Dahleh, Theory of Vibration with Applications, sec.
-3.5; den Hartog, sec. 2.11). So (T - 1) / w^2 = m / (k + j w c - w^2 m) [s^2] is the receptance of a mass
-under the force m, linear in k and c, in either case.
+base: a mass on a spring and a damper whose base moves, m x'' = -k (x - b) - c (x' - b'). Absolute T = X / B =
+(k + j w c) / (k + j w c - w^2 m), relative T_r = (X - B) / B = T - 1 = w^2 m / (k + j w c - w^2 m) (Thomson
+and Dahleh, Theory of Vibration with Applications, sec. 3.5; den Hartog, sec. 2.11). So (T - 1) / w^2 = m / (k
++ j w c - w^2 m) [s^2] is the receptance of a mass under the force m, linear in k and c, in either case.
 """
 
 from __future__ import annotations
@@ -36,8 +33,6 @@ def _scalar_mass(mass: Mass) -> float | None:
         return None
     if not isinstance(mass, (int, float)):
         raise ConfigError("this model takes one mass", hint="for example mass: 0.92 kg")
-    if not mass >= 0:
-        raise ConfigError(f"the mass is {mass:g} kg", hint="it must not be negative")
     return float(mass)
 
 
@@ -57,21 +52,21 @@ def sdof(setup: Setup) -> DynamicModel:
 def rotor_2dof(setup: Setup) -> DynamicModel:
     """Eight coefficients of a rotor in its bearings, x and y coupled (Lim et al. 2009, eq. 16-20).
 
-    One force: its factors b_x, b_y are estimated with the coefficients, which needs the known mass. Several
-    forces of known direction: b = (cos, sin) of each is given; of unknown direction: b_x, b_y of each are
-    estimated. The responses whose dof or label is x and y are x and y in whatever order they come; of other
-    names, the first is x and the second y, and the directions of the forces are taken from the responses'
-    own. ConfigError where ports, mass or directions do not fit the model.
+    Of one force, or several of unknown direction, the factors b_x, b_y are estimated, which needs the known
+    mass; of several of known direction b = (cos, sin) of each is given. The responses whose dof or label is x
+    and y are x and y in any order; of other names, the first is x and the second y, whose own directions
+    count. ConfigError where ports, mass or directions do not fit the model.
     """
     _need_ports(setup, "rotor-2dof", 2)
     axes = _axes(setup.outputs)
     mass = _mass_or_error(setup)
     shape = (2, len(setup.inputs))
+    places = list(zip("xy", np.argsort(axes).tolist(), strict=True))
     terms = [
         entry_term(f"{letter}_{row}{column}", kind, [(r, c)], shape)
         for letter, kind in (("k", "stiffness"), ("c", "damping"))
-        for row, r in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
-        for column, c in sorted(zip("xy", np.argsort(axes).tolist(), strict=True))
+        for row, r in places
+        for column, c in places
     ]
     force: FloatArray = np.zeros(shape)
     angles = [angle_of(port) for port in setup.inputs]
@@ -93,17 +88,14 @@ def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[
 
 
 def rotor_2dof_direct(setup: Setup) -> DynamicModel:
-    """Direct coefficients only: one spring and damper per axis, under the force's component (Lim et al. 2009,
-    eq. 21-22).
+    """Direct coefficients only: one spring and damper per axis, under the force's component F cos(a) or
+    F sin(a) (Lim et al. 2009, eq. 21-22).
 
-    F_x = F cos(a), F_y = F sin(a). ConfigError when the force's direction is not known, or has no part along
-    a response.
+    ConfigError when the force's direction is not known, or has no part along a response.
     """
     if len(setup.outputs) not in (1, 2):
-        raise ConfigError(
-            f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}",
-            hint="name them with `output`",
-        )
+        what = f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}"
+        raise ConfigError(what, hint="name them with `output`")
     mass = _mass_or_error(setup)
     angles = [angle_of(port) for port in setup.inputs]
     if None in angles:
@@ -114,10 +106,8 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     shape = (len(axes), len(setup.inputs))
     for row, axis in enumerate(axes):
         if np.max(np.abs(force[row])) < SMALLEST_SHARE:
-            raise ConfigError(
-                f"no force acts in direction {'xy'[axis]}",
-                hint="choose the other `output`, or excite this direction",
-            )
+            hint = "choose the other `output`, or excite this direction"
+            raise ConfigError(f"no force acts in direction {'xy'[axis]}", hint=hint)
     terms = [
         entry_term(f"{letter}_{'xy'[axis] * 2}", kind, [(row, row)], shape)
         for row, axis in enumerate(axes)
@@ -129,18 +119,13 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
 def _mass_or_error(setup: Setup) -> float:
     mass = _scalar_mass(setup.settings.mass)
     if mass is None:
-        raise ConfigError(
-            f"{setup.settings.model} needs the known mass",
-            hint="for example mass: 0.92 kg, here or in the rig file",
-        )
+        hint = "for example mass: 0.92 kg, here or in the rig file"
+        raise ConfigError(f"{setup.settings.model} needs the known mass", hint=hint)
     return mass
 
 
 def _axes(outputs: tuple[Port, ...]) -> list[int]:
-    """0 for x, 1 for y of every response: by its dof or label.
-
-    Of two responses with other names the first is x.
-    """
+    """0 for x, 1 for y of every response: by its dof or label; of two other names the first is x."""
     named = [
         next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None)
         for port in outputs
@@ -150,33 +135,25 @@ def _axes(outputs: tuple[Port, ...]) -> list[int]:
         named = [0, 1] if not other else [1 - other[0] if axis is None else axis for axis in named]
     axes = [axis for axis in named if axis is not None]
     if len(axes) < len(outputs):
-        raise ConfigError(
-            f"response '{labels(outputs)}' is neither x nor y", hint="give its dof in the rig file"
-        )
+        what = f"response '{labels(outputs)}' is neither x nor y"
+        raise ConfigError(what, hint="give its dof in the rig file")
     if len(set(axes)) < len(axes):
-        raise ConfigError(
-            f"the responses {labels(outputs)} have one direction",
-            hint="one along x and one along y are needed",
-        )
+        what = f"the responses {labels(outputs)} have one direction"
+        raise ConfigError(what, hint="one along x and one along y are needed")
     return axes
 
 
 def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float]) -> FloatArray:
-    """Share of every force along every response, cos(force - response), (n_output, n_input); rounding next to
-    zero is zero.
-
-    Responses along x and y have (cos, sin) of the force's angle; sensors turned by 45 deg see it in their own
-    directions.
+    """Share of every force along every response, cos(force - response), (n_output, n_input), of sensors
+    turned by 45 deg in their own directions; rounding next to zero is zero.
     """
     response_angles = [
         port.angle if port.angle is not None else axis * np.pi / 2
         for port, axis in zip(outputs, axes, strict=True)
     ]
     if len(response_angles) == 2 and abs(np.cos(response_angles[0] - response_angles[1])) > PERPENDICULAR:
-        raise ConfigError(
-            f"the responses {labels(outputs)} are not perpendicular",
-            hint="the model needs two directions at 90 deg",
-        )
+        what = f"the responses {labels(outputs)} are not perpendicular"
+        raise ConfigError(what, hint="the model needs two directions at 90 deg")
     force = np.cos(np.subtract.outer(response_angles, angles))
     return np.where(np.abs(force) < 1e-15, 0.0, force)
 
@@ -202,26 +179,22 @@ SDOF = linear_kind(
 ROTOR_2DOF = linear_kind(rotor_2dof, "tied", "damping", simpler="rotor-2dof-direct")
 ROTOR_2DOF_DIRECT = linear_kind(rotor_2dof_direct, "tied", one_direction=True, richer="rotor-2dof")
 
-# mdof: any number of degrees of freedom, (K + j w C - w^2 M) H = B, one parameter per entry of K, C (and
-# M).
-
 MASS_SCALE = "mass_scale"
 
 
 def mdof(setup: Setup) -> DynamicModel:
     """Stiffness k_i_j, damping c_i_j and, if unknown, mass m_i_j between the dofs i, j of the outputs.
 
-    One force is sufficient: every row of the equation of motion has its own coefficients (Knaapen 1997, ch.
-    4). *symmetric* settings give k_i_j = k_j_i. The mass is a list (diagonal), a matrix, `estimate`, or, with
-    `scale_mass`, known up to a factor. ConfigError for a force on a dof without output, or a mass of the
-    wrong size.
+    (K + j w C - w^2 M) H = B, for which one force is sufficient: every row has its own coefficients (Knaapen
+    1997, ch. 4). *symmetric* settings give k_i_j = k_j_i. The mass is a list (diagonal), a matrix,
+    `estimate`, or, with `scale_mass`, known up to a factor. ConfigError for a force on a dof without output,
+    or a mass of the wrong size.
     """
     settings = setup.settings
     dofs = [port.dof or port.label for port in setup.outputs]
     if len(set(dofs)) < len(dofs):
-        raise ConfigError(
-            f"two of the responses {labels(setup.outputs)} have one dof", hint="choose with `output`"
-        )
+        what = f"two of the responses {labels(setup.outputs)} have one dof"
+        raise ConfigError(what, hint="choose with `output`")
     force = np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
     shape, symmetric = setup.shape, settings.symmetric
     terms = [
@@ -256,7 +229,11 @@ def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
-    entries = np.array(mass, dtype=float) if _rectangular(mass) else np.empty(0)
+    try:
+        entries = np.array(mass, dtype=float)
+    except ValueError:
+        # Rows of several lengths.
+        entries = np.empty(0)
     if entries.ndim == 0:
         return float(entries) * np.eye(n_dof)
     if entries.shape == (n_dof,):
@@ -269,16 +246,6 @@ def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     return entries
 
 
-def _rectangular(mass: Mass) -> bool:
-    """True for a number, a list of numbers, or a list of equally long lists of numbers."""
-    if not isinstance(mass, tuple):
-        return True
-    rows = [row if isinstance(row, tuple) else (row,) for row in mass]
-    return len({len(row) for row in rows}) == 1 and all(
-        isinstance(entry, (int, float)) for row in rows for entry in row
-    )
-
-
 def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
     """Distribution of a force (n_dof,): on the output of its dof, or by its angle on x and y."""
     if port.dof in dofs:
@@ -287,9 +254,8 @@ def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
     output_angles = [angle_of(output) for output in setup.outputs]
     if angle is None or None in output_angles:
         hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
-        raise ConfigError(
-            f"the force {port.label} acts on dof '{port.dof}', which has no response", hint=hint
-        )
+        what = f"the force {port.label} acts on dof '{port.dof}', which has no response"
+        raise ConfigError(what, hint=hint)
     shares = np.cos(angle - np.array(output_angles, dtype=float))
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)
 
@@ -309,13 +275,11 @@ def form_view(form: str, settings: FitSettings) -> FormView:
     ConfigError for a base without its motion, and for a transmissibility elsewhere.
     """
     if settings.kind.of_base and form != TRANSMISSIBILITY:
-        of_force = "this FRF is of a force"
         other = f"and a motion as output; this FRF is of the form '{form}'"
+        what = "this FRF is of a force" if form in DERIVATIVES else other
+        hint = "in the rig file: role: input for the acceleration (velocity, displacement) of the base"
         raise ConfigError(
-            f"model {BASE} needs the motion of the base as input, "
-            f"{of_force if form in DERIVATIVES else other}",
-            hint="in the rig file: role: input for the acceleration (velocity, displacement) of the "
-            "base; or model: sdof",
+            f"model {BASE} needs the motion of the base as input, {what}", hint=f"{hint}; or model: sdof"
         )
     if not settings.kind.of_base and form == TRANSMISSIBILITY:
         what = f"model {settings.model} needs a force as input, this FRF is of the motion of a base"
@@ -332,17 +296,13 @@ def base_excited(setup: Setup) -> DynamicModel:
     ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
     if setup.shape != (1, 1):
-        what = (
-            f"{BASE} takes one response and one base, found {labels(setup.outputs)} and "
-            f"{labels(setup.inputs)}"
-        )
+        found = f"{labels(setup.outputs)} and {labels(setup.inputs)}"
+        what = f"{BASE} takes one response and one base, found {found}"
         raise ConfigError(what, hint="name them with `output` and `input`")
     given = setup.settings.mass
     if given != ESTIMATE and not (isinstance(given, float | int) and given > 0):
-        raise ConfigError(
-            f"{BASE} takes one positive mass",
-            hint="for example mass: 0.92 kg; without it f_n and zeta are identified",
-        )
+        hint = "for example mass: 0.92 kg; without it f_n and zeta are identified"
+        raise ConfigError(f"{BASE} takes one positive mass", hint=hint)
     unit = np.ones((1, 1))
     terms = [entry_term(*pair, [(0, 0)], unit.shape) for pair in (("k", "stiffness"), ("c", "damping"))]
     if isinstance(given, float | int):

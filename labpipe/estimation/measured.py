@@ -29,23 +29,21 @@ class Measured:
     """Receptance of the chosen ports on the chosen lines, with its noise.
 
     omega (n_line,) [rad/s]; matrix (n_line, n_output, n_input) [m/N]; covariance (n_line, n, n) [m^2/N^2] of
-      vec row-major, or None;
-    noise_dof: complex degrees of freedom of one line's covariance estimate; noise_lines: lines with a common
-      one (smoothed noise).
-    change (n_line, n_output, n_input) [m/N]: of the second half of the record against the first, or None.
+    vec row-major, or None; noise_dof: complex degrees of freedom of one line's covariance estimate;
+    noise_lines: lines with a common one (smoothed noise). change (n_line, n_output, n_input) [m/N]: of the
+    second half of the record against the first, or None.
+
     shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the
-      lines, c the correlation
-    of their noise (a window spreads it over neighbours): factor on the variance of a sum over lines, and on
-      that of their powers. Where
-    c is complex, lines do not add up and shared_noise is the upper bound shared_power; where noise cancels
-      between lines it is 1 at least,
-    since no estimate is a plain sum. *line_noise*: the same correlation line by line, None for independent
-      lines; *noise*: that of lines
-    that each have gains of their own. *offset* (n_line,) [m/N]: what was taken off the measured form, a
-      gain's error acts on both; None for
-    0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces
-      first, where the covariance follows from it by the measured FRF; None else. *blocks* of random data and
-      their *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
+    lines, c the correlation of their noise (a window spreads it over neighbours): factor on the variance of a
+    sum over lines, and on that of their powers. Where c is complex, lines do not add up and shared_noise is
+    the upper bound shared_power; where noise cancels between lines it is 1, since no estimate is a plain sum.
+    *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines with
+    gains of their own.
+
+    *offset* (n_line,) [m/N]: what was taken off the measured form, on which a gain's error acts too; None for
+    0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces first,
+    where the covariance follows from it by the measured FRF; None else. *blocks* of random data and their
+    *leakage* where it is known (H1), or None. *errors*: of sums of channels, as receptance.
     """
 
     omega: FloatArray
@@ -74,10 +72,7 @@ class Measured:
 
     @property
     def variance(self) -> FloatArray | None:
-        """E|H - E H|^2 of every element, (n_line, n) [m^2/N^2], or None.
-
-        Does not make the covariance whole.
-        """
+        """E|H - E H|^2 of every element, (n_line, n) [m^2/N^2], or None, of the covariance as it is held."""
         covariance = self.stored_covariance
         if covariance is None:
             return None
@@ -98,7 +93,7 @@ class Measured:
 def select_ports(
     response: FrequencyResponse, inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> tuple[list[int], list[int]]:
-    """Rows and columns by label, channel or dof (all without names); ConfigError for unknown names."""
+    """Rows and columns by label, channel or dof; all without names; ConfigError for unknown names."""
     return chosen_ports(response.outputs, outputs, "response"), chosen_ports(response.inputs, inputs, "force")
 
 
@@ -111,9 +106,8 @@ def chosen_ports(ports: tuple[Port, ...], names: tuple[str, ...], what: str) -> 
         matches = exact or [number for number, port in enumerate(ports) if port.answers_to(name)]
         if not matches:
             labels = [port.label for port in ports]
-            raise ConfigError(
-                f"no {what} '{name}' in the FRF, only {', '.join(labels)}", hint=nearest(name, labels)
-            )
+            missing = f"no {what} '{name}' in the FRF, only {', '.join(labels)}"
+            raise ConfigError(missing, hint=nearest(name, labels))
         chosen.extend(number for number in matches if number not in chosen)
     return chosen
 
@@ -125,23 +119,20 @@ def measured_part(
     lines: BoolArray,
     view: FormView | None = None,
 ) -> Measured:
-    """The chosen part as receptance; *lines*: mask (n_frequency,) [-] of the lines; *view* of the response's
-    form, its own by default.
+    """The chosen part as receptance; *lines*: mask (n_frequency,) [-]; *view* of the form, its own by
+    default.
 
     FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation (est-shared).
     """
     frequency = response.frequency[lines]
     if not frequency.size:
-        raise FitError(
-            "no frequency line lies in the band",
-            hint=f"lines from {response.frequency[0]:g} to {response.frequency[-1]:g} Hz",
-        )
+        hint = f"lines from {response.frequency[0]:g} to {response.frequency[-1]:g} Hz"
+        raise FitError("no frequency line lies in the band", hint=hint)
     view = view or FormView(response.form)
     factor = view.factor(frequency)
     if np.any(factor == 0):
-        raise FitError(
-            f"the line at 0 Hz of a {response.form} has no receptance", hint="begin the band above 0 Hz"
-        )
+        what = f"the line at 0 Hz of a {response.form} has no receptance"
+        raise FitError(what, hint="begin the band above 0 Hz")
 
     def chosen(values: ComplexArray) -> ComplexArray:
         return values[lines][..., rows, :][..., columns]
@@ -200,10 +191,7 @@ def _noise_of_channels(
 def _chosen_covariance(
     response: FrequencyResponse, index: list[int], lines: BoolArray, factor: ComplexArray
 ) -> StoredCovariance:
-    """The covariance of the elements *index* on the chosen lines over |factor|^2.
-
-    In blocks where that of the response is.
-    """
+    """The covariance of the elements *index* on the lines over |factor|^2, in blocks where it is so."""
     stored = response.stored_covariance
     if isinstance(stored, BlockCovariance):
         return stored.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
@@ -227,10 +215,7 @@ def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | No
 
 
 def _share(numbers: IntArray, correlation: FloatArray) -> float:
-    """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line.
-
-    Distant lines are uncorrelated.
-    """
+    """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line."""
     chosen = np.zeros(numbers[-1] - numbers[0] + 1)
     chosen[numbers - numbers[0]] = 1.0
     pairs = [
@@ -244,17 +229,11 @@ def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
     """FitError for an output that is zero at every line."""
     still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
     if still:
-        raise FitError(
-            f"the FRF of {', '.join(still)} is zero at every line of the band",
-            hint="is the sensor connected?",
-        )
+        what = f"the FRF of {', '.join(still)} is zero at every line of the band"
+        raise FitError(what, hint="is the sensor connected?")
 
 
-# Systematic errors of a measured matrix: of the gain, delay and phase of its ports, and of the sums of
-# channels among them.
-
-# Errors are tried at this share of their standard uncertainty on either side, so that slopes are those at the
-# estimate.
+# Errors are tried at this share of their standard uncertainty on either side: slopes at the estimate.
 SHARE = 1e-3
 # Sine of the angle between directions below which they do not tell the plane.
 PARALLEL = 0.02
@@ -265,9 +244,8 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
     err together.
 
     An error d of an output changes its row by H a w^n d, one of a force its column by -H a w^n d, with a w^n
-    of COURSES. With *directions* an error d of an angle changes row or column by -d times that at right
-    angles, where ports of known direction tell it; else directions are left to the models that know them.
-    Equation (unc-port).
+    of COURSES; with *directions* one of an angle by -d times that at right angles, where ports of known
+    direction tell it. Equation (unc-port).
     """
     uncertainties: dict[str, Uncertainty] = {}
     changes: dict[str, ComplexArray] = {}
@@ -296,11 +274,9 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
 
 
 def across_ports(ports: Sequence[Port]) -> FloatArray | None:
-    """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see; None
-    where they do not tell.
-
-    Rows of zeros for ports without a direction. A port at a + d sees what one at a sees, and d times that at
-    a + 90 deg. Equation (unc-across).
+    """What ports see at right angles to their directions, (n_port, n_port) [1] by what all of them see, zeros
+    without a direction; None where they do not tell. A port at a + d sees what one at a sees, and d times
+    that at a + 90 deg. Equation (unc-across).
     """
     with_angle = [number for number, port in enumerate(ports) if port.angle is not None]
     angles = np.array([ports[number].angle for number in with_angle], float)
@@ -314,11 +290,8 @@ def across_ports(ports: Sequence[Port]) -> FloatArray | None:
 
 
 def turn(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bool) -> ComplexArray:
-    """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian [m/N] by which the direction of one
-    port was written too large.
-
-    *across* (n_port, n_port) [1] of `across_ports`; of_forces: the port is a force, a column. Equation
-    (unc-direction).
+    """Change of a *matrix* (n_line, n_output, n_input) [m/N] per radian by which the direction of a port, of
+    forces a column, was written too large; *across* (n_port, n_port) [1]. Equation (unc-direction).
     """
     change = np.zeros_like(matrix)
     if of_forces:
@@ -331,9 +304,7 @@ def turn(matrix: ComplexArray, number: int, across: FloatArray, *, of_forces: bo
 def changes_by(
     errors: tuple[MatrixError, ...], values: Callable[[ComplexArray], FloatArray]
 ) -> list[tuple[Uncertainty, FloatArray]]:
-    """Central differences (n_parameter,) [parameter units] of reported *values* of a change of the matrix
-    [m/N], one for each error.
-    """
+    """Central differences (n_parameter,) [parameter units] of *values* by every error of the matrix [m/N]."""
     return [
         (error.uncertainty, (values(SHARE * error.change) - values(-SHARE * error.change)) / (2 * SHARE))
         for error in errors

@@ -1,8 +1,7 @@
 """A residual that is not noise, and the intervals that hold in spite of it.
 
-The residual is judged at the minimum of the output error, whatever the estimator: by chi-square where the
-noise is known, else by its structure. Where it is not noise, the model error is averaged over what may be
-wrong, and stands in values and intervals.
+It is judged at the minimum of the output error, whatever the estimator: by chi-square where the noise is
+known, else by its structure. Where it is not noise, the model error stands in values and intervals.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from labpipe.errors import FitError
 from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
-from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.measured import Measured
@@ -29,6 +28,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student_limit
 from labpipe.estimation.weights import NOISE_FREE, Weights, fit_weights, has_noise
 from labpipe.records.finding import Finding
+from labpipe.records.identification import Goodness
 
 MOST_STEPS = 40
 # Draws of noise where a p-value only has to be above MISMATCH_P.
@@ -36,7 +36,7 @@ FEW_DRAWS = 299
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
 # A line is left out by so much more variance; of fewer lines one is too large a part. It is named with so
-# many hertz to either side, and where it is a multiple of the mains' frequency [Hz].
+# many hertz to either side, and as a multiple of the mains' frequency [Hz].
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
 
@@ -51,10 +51,8 @@ NOT_JUDGED = Finding(
 
 @dataclass(frozen=True)
 class Judgement:
-    """Findings on a residual, and what its intervals become.
-
-    *covariance* (n_parameter, n_parameter) [parameter units]: what they allow for, None where those of noise
-    hold. *model_error*: what stands in values and intervals.
+    """Findings on a residual; the *covariance* (n_parameter, n_parameter) [parameter units] that intervals
+    allow for, None where those of noise hold; the *model_error* that stands in values and intervals.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -64,8 +62,8 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Minimum:
-    """A fit of the output error judged: its minimum, its uncertainty, and the residual's p-value and
-    structure (of unknown noise alone).
+    """A minimum of the output error, its uncertainty, the residual's p-value and, of unknown noise,
+    structure.
     """
 
     problem: OutputError[ReceptanceModel]
@@ -77,10 +75,8 @@ class _Minimum:
 
 @dataclass(frozen=True)
 class _Judge:
-    """Judges minima of the output error of one measurement.
-
-    *n_band*: bands that share the chance of a false alarm; *leaking*: a finding says that blocks are short;
-    *stated*: numbers that the judgement allows for; *factor*: the excess over the measured noise, or None.
+    """Judges minima of the output error of one measurement; the parameters of `judge`, and *factor*: the
+    excess over the measured noise, or None.
     """
 
     measured: Measured
@@ -93,19 +89,14 @@ class _Judge:
     factor: float | None
 
     def finding(self, text: str, remedy: str) -> tuple[Finding, ...]:
-        """The finding in words: leakage of short blocks looks like a wrong model, and a narrower band would
-        not help.
-        """
+        """The finding: leakage of short blocks looks like a wrong model; a narrower band would not help."""
         if self.leaking:
             text = f"leakage of the short blocks, or a wrong model: {text}"
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
         return (Finding("model-mismatch", f"{text}. {remedy}"),)
 
     def minimum(self, model: ReceptanceModel, start: FloatArray) -> _Minimum | None:
-        """The minimum from *start* (n_parameter,) [parameter units].
-
-        None where there is none, or it cannot be judged.
-        """
+        """The minimum from *start* (n_parameter,); None where there is none, or it cannot be judged."""
         problem: OutputError[ReceptanceModel] = OutputError(self.measured, model, self._whitener)
         try:
             minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
@@ -131,8 +122,7 @@ class _Judge:
         size = np.abs(self.measured.matrix).reshape(self.measured.omega.size, -1)
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         if self.stated is not None:
-            # What stated numbers change is no structure of a wrong model, of whatever size: the noise that
-            # would limit it is not known.
+            # What stated numbers change is no structure of a wrong model, of whatever size.
             jacobian = orthonormal(np.column_stack([jacobian, self.stated.changes.T]))
             residual = residual - jacobian @ (jacobian.T @ residual)
         return residual_structure(residual, jacobian, size, null)
@@ -182,7 +172,7 @@ def judge(
         return Judgement()
     minimum = judged.minimum(shown, estimate.values) if settings.estimates.phase else None
     if minimum is None:
-        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, judged.factor)
+        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, estimate.gof)
     if minimum.p_value >= MISMATCH_P:
         return _by_bias(judged, minimum)
     if judged.uneven(minimum):
@@ -195,19 +185,8 @@ def judge(
     )
 
 
-def excess(estimate: Estimate) -> float | None:
-    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
-
-    Equation (est-excess).
-    """
-    reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
-    if reduced is None or p_value is None or p_value >= MISMATCH_P:
-        return None
-    return float(np.sqrt(reduced))
-
-
 def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
-    """The model is right: what another estimator than ml is away from it is its bias."""
+    """The model is right: what another estimator is away from ml is its bias."""
     estimate, estimator = judged.estimate, judged.settings.estimator
     away = best.values - estimate.values
     errors = np.sqrt(np.diag(estimate.covariance))
@@ -224,9 +203,9 @@ def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def by_lines(case: Case) -> Estimate:
-    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown:
-    what grows with the response is largest where the lines say most of damping, and its mean over the band is
-    too small there. As it is where lines share noise, and of another estimator.
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown: if
+    it grows with the response, its mean over the band is too small where the lines say most of damping. As it
+    is where lines share noise, and of another estimator.
     """
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
     if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
@@ -257,9 +236,7 @@ def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
-    """One line alone is what the model does not follow, as a hum that repeats with the periods leaves it;
-    None where the fit without it is not good either.
-    """
+    """One line alone is off, as by a hum that repeats with the periods; None where others are as well."""
     measured, estimate = judged.measured, judged.estimate
     n_line = measured.omega.size
     if best.structure is not None or measured.covariance is None or measured.noise is not None:
@@ -335,14 +312,15 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
 
 
 def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
-    """No model error can be told from the coefficients: the excess over the noise is counted as noise.
-
-    Where the noise is not known, it is that of the residual, and neighbours that are alike count as one.
+    """No model error can be told from the coefficients: the excess over the noise is counted as noise; of
+    unknown noise, that of the residual, neighbours that are alike count as one.
     """
     away = best.values - judged.estimate.values
     if best.structure is None:
-        assert best.assessed.reduced is not None
-        return _by_factor(judged, judged.factor or float(np.sqrt(best.assessed.reduced)), away)
+        at_minimum = replace(
+            judged.estimate.gof, chi2_reduced=best.assessed.reduced, chi2_p=best.assessed.p_value
+        )
+        return _by_factor(judged, at_minimum if judged.factor is None else judged.estimate.gof, away)
     covariance = _with_distance(judged.measured.omega.size / 2 * best.assessed.covariance, away)
     text = (
         f"{_wording(best)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
@@ -351,21 +329,17 @@ def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     return Judgement(judged.finding(text, "Use a model with more modes, or more lines"), covariance)
 
 
-def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) -> Judgement:
-    """The excess over the measured noise taken as noise, and the distance *away* of another estimator from ml
-    beside it.
-    """
+def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) -> Judgement:
+    """The excess over the measured noise taken as noise, beside the distance *away* from ml."""
+    assert gof.chi2_reduced is not None
     estimate, estimator = judged.estimate, judged.settings.estimator
-    covariance = factor**2 * estimate.covariance
+    covariance = gof.chi2_reduced * estimate.covariance
     if away is not None:
         covariance = _with_distance(covariance, away)
-    # Equation errors are biased and inefficient: their residual exceeds the noise for a correct model as
-    # well.
+    # Equation errors exceed the noise for a correct model as well.
     biased = "" if judged.settings.estimates.unbiased else f", or {estimator} is biased"
     text = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {estimate.gof.chi2_reduced:.3g}, p = {estimate.gof.chi2_p:.2g}): the model is "
-        f"incomplete{biased}. "
+        f"{excess_text(gof.chi2_reduced, gof.chi2_p)}: the model is incomplete{biased}. "
         f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )
@@ -375,11 +349,7 @@ def _by_factor(judged: _Judge, factor: float, away: FloatArray | None = None) ->
 def _wording(best: _Minimum) -> str:
     """What is wrong with the residual."""
     if best.structure is None:
-        assert best.assessed.reduced is not None
-        return (
-            f"the residual is {np.sqrt(best.assessed.reduced):.3g} times what the measured noise explains "
-            f"(chi-square per degree of freedom {best.assessed.reduced:.3g}, p = {best.p_value:.2g})"
-        )
+        return excess_text(best.assessed.reduced, best.p_value)
     return (
         f"the residual is not noise: {best.structure.said} (p = {best.p_value:.2g} for noise under the "
         "same fit)"
@@ -387,9 +357,7 @@ def _wording(best: _Minimum) -> str:
 
 
 def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
-    """The covariance (n, n) with the distance (n,) between two fits counted as one standard error, wholly
-    correlated.
-    """
+    """The covariance (n, n) with the distance (n,) of two fits as one standard error, wholly correlated."""
     return covariance + np.outer(away, away)
 
 
@@ -400,7 +368,6 @@ def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
 
 
 def _growth(estimate: Estimate, covariance: FloatArray) -> str:
-    """By how much the intervals are wider than those of noise alone."""
     before, after = np.sqrt(np.diag(estimate.covariance)), np.sqrt(np.diag(covariance))
     factors = after[before > 0] / before[before > 0]
     if not factors.size:

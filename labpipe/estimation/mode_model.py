@@ -1,6 +1,4 @@
-"""A mode on the lines of one FRF as an ordinary fit, and its named extensions: a second mode in the band, a
-resonance that moves.
-"""
+"""A mode on the lines of one FRF, and its extensions: a second mode in the band, a resonance that moves."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 
-# The model as it is, a second mode, and four laws by which the resonance moves while it is measured.
+# The model as it is, a second mode, and four laws by which the resonance moves meanwhile.
 AS_IT_IS, SECOND = "", "J"
 MOVED = ("L", "G", "U", "C")
 # Places where a second mode is looked for, and the factor between the damping of two modes at most.
@@ -83,13 +81,9 @@ class ModeModel:
 
     @property
     def kept(self) -> list[int]:
-        """Places in theta of what is stated: the parameters of interest, then of a pole Re and Im of its
-        amplitude and the first term.
-        """
-        linear = (
-            [] if self.coefficients else range(self.n_shape, self.n_shape + 2 + 2 * min(self.residual, 1))
-        )
-        return [*range(self.n_interest), *linear]
+        """Places in theta of what is stated: of interest, of a pole its amplitude and first term too."""
+        n_linear = 0 if self.coefficients else 2 + 2 * min(self.residual, 1)
+        return [*range(self.n_interest), *range(self.n_shape, self.n_shape + n_linear)]
 
     @cached_property
     def n_shape(self) -> int:
@@ -110,12 +104,10 @@ class ModeModel:
     def terms(self) -> ComplexArray:
         """Residual terms (n_line, n_term) [1]."""
         f = self.curve.frequency
+        if not self.residual:
+            return np.zeros((f.size, 0), np.complex128)
         x = (2 * f - f[0] - f[-1]) / (f[-1] - f[0])
-        return (
-            np.polynomial.legendre.legvander(x, self.residual - 1).astype(np.complex128)
-            if self.residual
-            else np.zeros((f.size, 0), complex)
-        )
+        return np.polynomial.legendre.legvander(x, self.residual - 1).astype(np.complex128)
 
     @cached_property
     def _factors(self) -> ComplexArray:
@@ -158,9 +150,7 @@ class ModeModel:
         return rows
 
     def _motion(self, q: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
-        """Nodes x (n_node,) of the relative motion of the resonance and their weights (n_node,) [1]; 0 and 1
-        of one that stands.
-        """
+        """Nodes x (n_node,) of the relative motion and their weights (n_node,) [1]; 0 and 1 at rest."""
         if not self.law:
             return 0.0, 1.0
         nodes, weights = NODES[self.law]
@@ -172,8 +162,8 @@ class ModeModel:
         return ModeModel(self.curve)
 
     def _with_conjugate(self, q: FloatArray) -> ComplexArray:
-        """Of A a + A^* b: a, the mean of 1 / (s - lambda) over the motion, and b, that of the conjugate pole,
-        each with its derivatives by *q* (n_shape,) [1] but for those of a second mode, (2, n + 1, n_line).
+        """Of A a + A^* b: a, the mean of 1 / (s - lambda) over the motion, and b, of the conjugate pole, with
+        derivatives by *q* (n_shape,) [1] but for a second mode's, (2, n + 1, n_line).
         """
         w, zeta = 2 * np.pi * np.exp(q[0]), np.exp(q[1])
         x, weights = self._motion(q)
@@ -195,7 +185,7 @@ class ModeModel:
 
     def _coefficients_at(self, q: FloatArray) -> ComplexArray:
         """The mean of 1 / (k + c s + m s^2) over the motion and its derivatives by *q* (n_shape,) [1] but for
-        those of a second mode, (n + 1, n_line).
+        a second mode's, (n + 1, n_line).
         """
         k, c = np.exp(q[:2])
         m = np.exp(q[2]) if self.mass is None else self.mass
@@ -317,9 +307,6 @@ class Fitted:
         return np.asarray(inverse[np.ix_(self.model.kept, self.model.kept)])
 
 
-# Extensions of the model.
-
-
 def extensions(base: Fitted) -> Iterator[Fitted]:
     """The ordinary fits of the named extensions that have one: a second mode, and a resonance that moves."""
     second = second_mode(base)
@@ -361,8 +348,8 @@ def second_beside_moving(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | N
 
 def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
     """Whether a *model* at *theta* (n,) [1] is still the ordinary fit *base* with what its member adds: a
-    second mode in the band and of like damping beside one that moved by less than its width, a motion that is
-    neither longer than the resonance is wide nor too short to be seen.
+    second mode in the band, of like damping, beside one that moved by less than its width; a motion neither
+    longer than that nor too short to be seen.
     """
     # In logarithms: what runs away is no number else.
     n, band = model.n_interest, np.log(model.curve.frequency[[0, -1]])
@@ -385,10 +372,7 @@ def half_width(model: ModeModel, q: FloatArray) -> float:
 
 
 def second_mode(base: Fitted) -> Fitted | None:
-    """The fit with one more mode in the band, from the two best of PLACES.
-
-    None where there is none like the first.
-    """
+    """The fit with one more mode in the band, from the two best of PLACES; None without a like one."""
     model, n = replace(base.model, member=SECOND + base.model.law), base.model.n_shape
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
@@ -430,9 +414,8 @@ def second_mode(base: Fitted) -> Fitted | None:
 
 
 def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
-    """The same two modes, the one that is nearer to the old pole first, fitted again from there.
-
-    Coefficients are those of the first mode; the residue of the second is 1 / (2 sqrt(k m)) of its own.
+    """The same two modes, the one nearer to the old pole first, fitted again from there. Coefficients are
+    those of the first mode; the residue of the second is 1 / (2 sqrt(k m)) of its own.
     """
     theta, model, n = fit.theta, fit.model, fit.model.n_interest
     if not min(model.frequency_and_damping(theta)) > 0:

@@ -4,7 +4,7 @@ constraints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -19,16 +19,15 @@ from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
-# Complex numbers of the derivatives that are made together: few enough to stay in the cache.
+# Complex numbers of the derivatives that are made together, in the cache.
 CACHED_ELEMENTS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """Contribution of one parameter (or of all constants) to the equation of motion.
-
-    stiffness K [N/m] (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force
-    B (n_dof, n_input) [1].
+    """Contribution of one parameter (or of all constants) to the equation of motion: stiffness K [N/m]
+    (complex with a loss factor), damping C [N.s/m], mass M [kg], each (n_dof, n_dof); force B (n_dof,
+    n_input) [1].
     """
 
     stiffness: FloatArray
@@ -54,10 +53,8 @@ def no_matrices(n_dof: int, n_input: int) -> Matrices:
 
 @dataclass(frozen=True)
 class Term:
-    """One parameter of a model and its matrices.
-
-    *droppable*: True if backward elimination may set it to zero. *aliases*: further coefficients tied to its
-    value.
+    """One parameter of a model and its matrices; *droppable*: backward elimination may set it to zero;
+    *aliases*: further coefficients tied to its value.
     """
 
     name: str
@@ -104,10 +101,8 @@ class ResponseModel(FittedModel, Protocol):
 @dataclass(frozen=True)
 class ActingTerms:
     """The terms that have a matrix of one kind: their *place* among all, their *matrices* as columns
-    (n_element, n_acting) [unit of the kind].
-
-    *single*: the only element of each, (n_acting,), where all have only one; *plain*: all elements in order,
-    factor 1.
+    (n_element, n_acting) [unit of the kind]; *single*: the only element of each, (n_acting,), where all have
+    one; *plain*: all elements in order, factor 1.
     """
 
     place: IntArray | slice
@@ -117,10 +112,7 @@ class ActingTerms:
 
     @classmethod
     def of(cls, rows: FloatArray) -> ActingTerms | None:
-        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind].
-
-        None where all are zero.
-        """
+        """Those of all terms' matrices as *rows* (n_term, n_element) [unit of the kind]; None if all zero."""
         there = np.flatnonzero(np.any(rows != 0, axis=1))
         if there.size == 0:
             return None
@@ -132,10 +124,7 @@ class ActingTerms:
         return cls(place, matrices, single, np.array_equal(matrices, np.eye(there.size)))
 
     def combined(self, elements: ComplexArray) -> ComplexArray:
-        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit].
-
-        Picked where every term has only one element.
-        """
+        """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit], picked where terms have one."""
         if self.plain:
             return elements
         if self.single is not None:
@@ -171,11 +160,7 @@ class DynamicModel:
         """The parameters (n_parameter,) [parameter units], unchanged."""
         return values
 
-    def without(self, name: str) -> DynamicModel:
-        """The model with one parameter fixed at zero."""
-        return self.fixed(name, 0.0)
-
-    def fixed(self, name: str, value: float) -> DynamicModel:
+    def fixed(self, name: str, value: float = 0.0) -> DynamicModel:
         """The model with one parameter fixed instead of estimated."""
         (term,) = (term for term in self.terms if term.name == name)
         others = tuple(other for other in self.terms if other is not term)
@@ -183,13 +168,13 @@ class DynamicModel:
 
     def tied(self, names: Sequence[str]) -> DynamicModel:
         """The model with one common value for several parameters, named after the first."""
-        joined = [term for term in self.terms if term.name in names]
-        matrices = joined[0].matrices
-        for term in joined[1:]:
-            matrices = matrices.plus(term.matrices)
-        common = replace(joined[0], matrices=matrices, aliases=tuple(term.name for term in joined[1:]))
-        kept = (term for term in self.terms if term not in joined[1:])
-        return replace(self, terms=tuple(common if term is joined[0] else term for term in kept))
+        first, *others = (term for term in self.terms if term.name in names)
+        common = first
+        for term in others:
+            aliases = (*common.aliases, term.name, *term.aliases)
+            common = replace(common, matrices=common.matrices.plus(term.matrices), aliases=aliases)
+        kept = (term for term in self.terms if term not in others)
+        return replace(self, terms=tuple(common if term is first else term for term in kept))
 
     def whole(self, parameters: FloatArray) -> Matrices:
         """K [N/m], C [N.s/m], M [kg] and B of *parameters* (n_parameter,); cases in leading dimensions."""
@@ -214,7 +199,9 @@ class DynamicModel:
         Equation (est-receptance).
         """
         whole = self.whole(parameters)
-        return _solve(_dynamic_stiffness(whole, omega), whole.force.astype(np.complex128))
+        return _regular(
+            np.linalg.solve, _dynamic_stiffness(whole, omega), whole.force.astype(np.complex128)[None]
+        )
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit];
@@ -235,7 +222,7 @@ class DynamicModel:
     def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
         """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
         n_line, n_dof, n_input = slopes.shape[:3]
-        inverse = _inverse(_dynamic_stiffness(whole, omega))
+        inverse = _regular(np.linalg.inv, _dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
         outer = inverse[:, :, None, :, None] * by_input[:, None, :, None, :]
         outer = outer.reshape(n_line, n_dof, n_input, n_dof**2)
@@ -249,13 +236,12 @@ class DynamicModel:
             slopes[..., acting.place] += moved
 
     def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
-        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N], one inverse per line.
-
-        There are many sides, and a product with the small inverse costs a fraction of solving for them.
+        """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N]; of many, one inverse per line is
+        cheaper than solving.
         """
         n_side, n_line, n_dof, n_input = sides.shape
         joined = sides.transpose(1, 2, 0, 3).reshape(n_line, n_dof, n_side * n_input)
-        solved = _inverse(self.dynamic_stiffness(parameters, omega)) @ joined
+        solved = compliance(self, parameters, omega) @ joined
         return solved.reshape(n_line, n_dof, n_side, n_input).transpose(2, 0, 1, 3)
 
     def equation_terms(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
@@ -286,9 +272,7 @@ class DynamicModel:
 
     @cached_property
     def _joined(self) -> FloatArray:
-        """K, C, M and B of every term and of the constants as rows of numbers, so that one matrix product
-        gives their sum.
-        """
+        """K, C, M and B of every term and of the constants as rows, whose sum is one matrix product."""
         every = (*(term.matrices for term in self.terms), self.constant)
         parts = [(m.stiffness, m.damping, m.mass, m.force) for m in every]
         return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
@@ -312,11 +296,10 @@ class DynamicModel:
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s].
-
+    """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s];
     FitError where Z is singular.
     """
-    return _inverse(model.dynamic_stiffness(parameters, omega))
+    return _regular(np.linalg.inv, model.dynamic_stiffness(parameters, omega))
 
 
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
@@ -331,38 +314,21 @@ def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     )
 
 
-def _solve(z: ComplexArray, sides: ComplexArray) -> ComplexArray:
+def _regular(operation: Callable[..., ComplexArray], *matrices: ComplexArray) -> ComplexArray:
+    """An operation of numpy on dynamic stiffness; FitError where that is singular."""
     try:
-        solved: ComplexArray = np.linalg.solve(z, sides[None])
+        return operation(*matrices)
     except np.linalg.LinAlgError:
-        raise _singular() from None
-    return solved
+        what = "the dynamic stiffness of the model is singular at a line"
+        raise FitError(what, hint="check the band and the mass") from None
 
-
-def _inverse(z: ComplexArray) -> ComplexArray:
-    try:
-        inverse: ComplexArray = np.linalg.inv(z)
-    except np.linalg.LinAlgError:
-        raise _singular() from None
-    return inverse
-
-
-def _singular() -> FitError:
-    return FitError(
-        "the dynamic stiffness of the model is singular at a line", hint="check the band and the mass"
-    )
-
-
-# What a model needs to know of the measurement, and the pieces that models are made of.
 
 UNITS = {"stiffness": "N/m", "damping": "N.s/m", "mass": "kg", "force": "1"}
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a model needs to know of the measurement: its ports, whether in a closed loop, and the fit's
-    settings.
-    """
+    """What a model needs to know: ports of a measurement, maybe in a closed loop, and the fit's settings."""
 
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
@@ -412,9 +378,8 @@ def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
     for group in settings.tied:
         model = _tie(model, group)
     if not model.terms:
-        raise ConfigError(
-            "every coefficient is fixed, so nothing is left to estimate", hint="shorten `fixed`"
-        )
+        what = "every coefficient is fixed, so nothing is left to estimate"
+        raise ConfigError(what, hint="shorten `fixed`")
     return model
 
 
@@ -423,10 +388,8 @@ def _tie(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
         _check_names(model, name, "tied")
     units = {term.unit for term in model.terms if term.name in group}
     if len(set(group)) < 2 or len(units) > 1:
-        raise ConfigError(
-            f"tied: {', '.join(group)} cannot have one value",
-            hint="name two or more coefficients of one unit",
-        )
+        what = f"tied: {', '.join(group)} cannot have one value"
+        raise ConfigError(what, hint="name two or more coefficients of one unit")
     return model.tied(group)
 
 

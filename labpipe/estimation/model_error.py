@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.derived import is_corrected
-from labpipe.estimation.discrepancy import NORMAL, Mixture, mixture
+from labpipe.estimation.discrepancy import Mixture, mixture
 from labpipe.estimation.linear_models import PER_MASS
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
@@ -18,16 +18,14 @@ from labpipe.estimation.model import DynamicModel, FittedModel
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import restated
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
-from labpipe.records.finding import Discrepancy, IntervalParts, Parameter
-from labpipe.records.identification import Fit
+from labpipe.records.finding import NORMAL, Discrepancy, IntervalParts, Parameter
 
-# Lines beyond which neighbours are averaged, those around the resonance alone, to this many half-power widths
-# on either side.
+# Lines beyond which neighbours are averaged, to so many half-power widths on either side of the resonance.
 MOST_LINES, REACH = 400, 8.0
 # Lines in a half-power width that averaging leaves.
 LINES_IN_WIDTH = 8
 FEWEST_NEAR = 60
-# What a type of discrepancy, or a member of the ladder, is in words.
+# Types of discrepancy in words.
 WORDS = {
     "a": "other modes",
     "m": "gain curve",
@@ -55,10 +53,9 @@ class StatedRow:
 
 @dataclass(frozen=True)
 class ModelError:
-    """The mixture of a fit, and its parameters by name as rows of it.
-
-    apart: mean and ends of the logarithm of parameters of a mode that differs from point to point, which the
-    interval holds as well; *unloaded*: they are those without what moves, and count alone.
+    """The mixture of a fit, and its parameters by name as rows of it; apart: mean and ends of the logarithm
+    of a mode's parameters that differ from point to point, in the interval as well; *unloaded*: they are
+    those without what moves, and count alone.
     """
 
     mixture: Mixture
@@ -96,11 +93,8 @@ class ModelError:
         return float((high - low) / (2 * NORMAL * np.sqrt(row @ self.mixture.noise @ row)))
 
     def stated(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-        """The parameters with values and intervals of the mixture; those that it does not tell keep their
-        value, without an interval.
-
-        The value is the mixture's mean: an interval around another value would not hold it. std_error stays
-        that of noise.
+        """The parameters with means and intervals of the mixture, and std_error of noise; those that it does
+        not tell keep their value, without an interval.
         """
         return tuple(self._statement(parameter) for parameter in parameters)
 
@@ -113,7 +107,7 @@ class ModelError:
         centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
         if apart is not None:
-            # Both are explanations: the interval holds either, but for a stated mass.
+            # The interval holds either, but for a stated mass.
             first = self.unloaded or apart[2] - apart[1] > high - low
             centre, reason = (apart[0], self.likely) if first else (centre, reason)
             low, high = apart[1:] if self.unloaded else (min(low, apart[1]), max(high, apart[2]))
@@ -124,9 +118,19 @@ class ModelError:
             centre, low, high = (sign * float(np.exp(end)) for end in (centre, low, high))
             low, high, noise = min(low, high), max(low, high), noise * abs(centre)
         full = max((high - low) / (2 * NORMAL), noise)
-        parts = IntervalParts(noise, float(np.sqrt(max(full**2 - noise**2, 0.0))))
-        stated = restated(parameter, centre, full, (low, high), std_error=noise, interval=parts)
-        return replace(stated, reason=reason, discrepancy=self.discrepancy, fitted=parameter.value)
+        stated = with_model_error(parameter, centre, full, (low, high), noise)
+        return replace(stated, reason=reason, discrepancy=self.discrepancy)
+
+
+def with_model_error(
+    parameter: Parameter, value: float, error: float, ci95: tuple[float, float], noise: float
+) -> Parameter:
+    """The parameter with a *value*, an *error* and a *ci95* of model error and *noise* [all its unit], of
+    which the latter is std_error.
+    """
+    parts = IntervalParts(noise, float(np.sqrt(max(error**2 - noise**2, 0.0))))
+    fitted = parameter.value
+    return restated(parameter, value, error, ci95, std_error=noise, interval=parts, fitted=fitted)
 
 
 def shares_by_cause(shares: Mapping[str, float]) -> dict[str, float]:
@@ -160,12 +164,10 @@ def _cause(share: str) -> str:
 def model_error(
     measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings
 ) -> ModelError | None:
-    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None
-    where it is of another kind.
+    """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None for
+    another kind, a band too narrow for its width, and random data whose leakage the fit models.
 
-    The noise is the measured one; where it is not known, that of neighbouring lines of the residual: the
-    scatter of its second differences. None too where the band is too narrow for its width, and for random
-    data whose leakage the fit models.
+    Unknown noise is the scatter of the residual's second differences.
     """
     if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
         return None
@@ -192,9 +194,7 @@ def model_error(
 
 @dataclass(frozen=True)
 class _Built:
-    """A mode without its curve, the shape parameters (n_shape,) to start from, what its parameters are, and
-    the *force* that h is over.
-    """
+    """A mode without its curve, its *start* (n_shape,), what its parameters are, the *force* h is over."""
 
     mode: ModeModel
     start: FloatArray
@@ -207,9 +207,7 @@ _NO_CURVE = Curve(np.arange(2.0), np.zeros(2, np.complex128), np.ones(2))
 
 
 def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
-    """The mode that a model is, None where it is another: several coefficients, a law of damping, signs
-    without a resonance.
-    """
+    """The mode that a model is; None of several coefficients, a law of damping, signs without a resonance."""
     by_name = dict(zip(model.names, map(float, values), strict=True))
     if isinstance(model, DrivingMode):
         # k, c and m beside a constant.
@@ -264,8 +262,8 @@ def _transfer(by_name: dict[str, float]) -> _Built:
 
 
 def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
-    """At most about MOST_LINES lines of a *curve*: those around the *mode* as at *start* (n,) [1], then
-    means of neighbours as far as these leave its peak as it is.
+    """About MOST_LINES lines of a *curve* at most: those around the *mode* as at *start* (n,) [1], then means
+    of neighbours that leave its peak as it is.
     """
     if curve.frequency.size <= MOST_LINES:
         return curve
@@ -280,20 +278,3 @@ def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
     groups = curve.frequency[: curve.frequency.size // together * together].reshape(-1, together)
     values, std = (part[: groups.size].reshape(-1, together) for part in (curve.values, curve.std))
     return Curve(groups.mean(axis=1), values.mean(axis=1), np.sqrt(np.sum(std**2, axis=1)) / together)
-
-
-def with_interval_parts(fit: Fit) -> Fit:
-    """The fit with the parts of every interval: what is neither noise nor given numbers is model error."""
-    return replace(fit, parameters=tuple(_with_parts(parameter) for parameter in fit.parameters))
-
-
-def _with_parts(parameter: Parameter) -> Parameter:
-    noise, systematic = parameter.std_error, parameter.systematic or 0.0
-    if noise is None or parameter.ci95 is None:
-        return parameter
-    repeats = 0.0 if parameter.interval is None else parameter.interval.repeats
-    full = parameter.full_error or noise
-    rest = max(full**2 - noise**2 - systematic**2 - repeats**2, 0.0)
-    # What rounding leaves of equal squares is no model error.
-    discrepancy = float(np.sqrt(rest)) if rest > 1e-9 * full**2 else 0.0
-    return replace(parameter, interval=IntervalParts(noise, discrepancy, repeats, systematic))

@@ -2,10 +2,9 @@
 line.
 
 An element (a, b) of a matrix K, C or M changes the response by an outer product: column a of Z^-1 times row b
-of the response. The sum over the lines of products of two such derivatives is therefore one product of
-(columns by columns) and (rows by rows), for FRFs with independent noise, and for those whose covariance is
-one matrix over the responses times one over the forces, as that of H1 is. The derivatives of all parameters
-on all lines, n^2 times as many numbers, are never made.
+of the response. The sum over the lines of products of two such derivatives is one product of (columns by
+columns) and (rows by rows), for FRFs with independent noise, and for a covariance that is one matrix over the
+responses times one over the forces, as of H1. The derivatives of all parameters on all lines are never made.
 """
 
 from __future__ import annotations
@@ -53,19 +52,15 @@ class NormalEquations:
 
 
 def has_line_products(model: object, weights: Weights) -> bool:
-    """Whether a model and *weights* have them: linear in K, C, M alone, noise by less than a whole matrix
-    (n_line, n, n) [N/m].
-    """
+    """Whether a model and *weights* (n_line, n, n) [N/m] have them: linear in K, C, M, short weights."""
     return isinstance(model, DynamicModel) and is_short(weights) and model.acting["force"] is None
 
 
 def normal_equations(
     model: DynamicModel, omega: FloatArray, weights: Weights, lines_of: LinesOf, with_products: bool = True
 ) -> NormalEquations:
-    """Of the columns Z^-1 Z_p H and the residual that *lines_of* gives, whitened by *weights*, diagonals
-    (n_line, n) [N/m] or factors.
-
-    *omega* (n_line,) [rad/s]; *with_products*: else J^T J stays zero. Equation (est-line-products).
+    """Of the columns Z^-1 Z_p H and the residual of *lines_of*, whitened by *weights*, diagonals (n_line, n)
+    [N/m] or factors, at *omega* (n_line,) [rad/s]; J^T J only *with_products*. Equation (est-line-products).
     """
     n_dof = model.constant.force.shape[0]
     kinds = [kind for kind in FACTORS if model.acting[kind] is not None]
@@ -166,9 +161,7 @@ def _upper(n_dof: int) -> tuple[IntArray, IntArray]:
 
 def _whole(totals: ComplexArray, n_dof: int) -> ComplexArray:
     """Sums (n_sum, n_pair, n_dof^2) in the order (a <= c, bd) as matrices (ab, cd), (n_sum, n_dof^2,
-    n_dof^2).
-
-    Those of (c, a) are the conjugates, b and d exchanged.
+    n_dof^2); those of (c, a) are the conjugates, b and d exchanged.
     """
     first, second = _upper(n_dof)
     part = totals.reshape(len(totals), -1, n_dof, n_dof)
@@ -194,9 +187,7 @@ Model = TypeVar("Model", bound=ReceptanceModel, covariant=True)
 
 @dataclass(frozen=True)
 class OutputError(Generic[Model]):
-    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m], its diagonals (n_line, n), or
-    its factors.
-    """
+    """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m] in any of its forms."""
 
     measured: Measured
     model: Model
@@ -214,17 +205,14 @@ class OutputError(Generic[Model]):
     @cached_property
     def weights(self) -> Weights:
         """The whitener, or its diagonals (n_line, n) [N/m] where all else is zero, or its factors."""
-        return self.whitener if isinstance(self.whitener, ProductWeights) else short_weights(self.whitener)
+        return short_weights(self.whitener)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""
         return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,).
-
-        Infinite where the model has no finite response.
-        """
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without response."""
         measured, n_chunk = self.measured, max(16, CACHED_ELEMENTS // self.measured.matrix[0].size)
         if not (isinstance(self.model, DynamicModel) and is_short(self.weights)):
             return sum_of_squares(self.residual, parameters)
@@ -243,9 +231,7 @@ class OutputError(Generic[Model]):
         return np.negative(columns, out=columns)
 
     def linearised(self, parameters: FloatArray) -> Linearisation:
-        """The linearisation at *parameters* (n_parameter,) [parameter units], from products of small matrices
-        where these tell it.
-        """
+        """The linearisation at *parameters* (n_parameter,) [parameter units], by line products if exact."""
         linear = self._linear_at(parameters)
         if linear is not None and has_line_products(linear[0], self.weights):
             model, values, slopes = linear
@@ -258,9 +244,7 @@ class OutputError(Generic[Model]):
         return linearised(self, parameters)
 
     def _linear_at(self, parameters: FloatArray) -> tuple[DynamicModel, FloatArray, FloatArray] | None:
-        """A model linear in its parameters, their values (n,) and derivatives by *parameters* (n,
-        n_parameter) [their units]; or None.
-        """
+        """A linear model, its values (n,) and derivatives by *parameters* (n, n_parameter); or None."""
         if isinstance(self.model, FactorModel):
             return self.model.expanded, self.model.expanded_values(parameters), self.model.slopes(parameters)
         if isinstance(self.model, DynamicModel):

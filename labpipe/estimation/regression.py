@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,25 +40,21 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), n_parameter)
     design, amplification = _plain_design(measured, model, values, equation.terms)
     dof = measured.n_equation - n_parameter
-    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    scaled, notes = measured.shared_noise * covariance, (BIAS_NOTE,)
     return statistics.Estimate(
         values=values,
-        covariance=scaled,
+        covariance=measured.shared_noise * covariance,
         scaled_design=design,
-        gof=gof,
+        gof=Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof)),
         dof=dof,
-        notes=notes,
+        notes=(BIAS_NOTE,),
         parameter_dof=parameter_dof,
         amplification=amplification,
     )
 
 
 def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), degrees of
-    freedom (n_parameter,).
-
-    Degrees of freedom are those of the regression of each parameter. Raises FitError as solve_scaled does.
+    """Estimate (n_parameter,) [parameter units], its covariance (n_parameter, n_parameter), and degrees of
+    freedom (n_parameter,) of each parameter's regression; FitError as of solve_scaled.
     """
     n_parameter = len(model.terms)
     values, covariance = np.zeros(n_parameter), np.zeros((n_parameter, n_parameter))
@@ -81,6 +78,39 @@ class Regression:
     right_side: ComplexArray
     line_weights: FloatArray
 
+    @cached_property
+    def rows(self) -> FloatArray:
+        """The terms as real rows (n_parameter, n_equation) [1 per parameter unit]."""
+        return statistics.stacked_terms(self.terms)
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Of the rows (n_parameter,) [1 per parameter unit], in which parameters of any dimension compare."""
+        return np.sqrt(np.einsum("pe,pe->p", self.rows, self.rows))
+
+    @cached_property
+    def side(self) -> FloatArray:
+        """The right side as real equations (n_equation,) [1]."""
+        return statistics.stack(self.right_side.reshape(-1))
+
+    def instrumental(self, instruments: FloatArray) -> FloatArray:
+        """(V^T A)^-1 V^T b (n_parameter,) [parameter units] of *instruments* V (n_parameter, n_equation), all
+        scaled by the lengths in between.
+
+        FitError where V is dependent.
+        """
+        product = (instruments @ self.rows.T) / np.outer(self.lengths, self.lengths)
+        try:
+            values: FloatArray = (
+                np.linalg.solve(product, (instruments @ self.side) / self.lengths) / self.lengths
+            )
+        except np.linalg.LinAlgError:
+            what = "the instruments of iv are linearly dependent"
+            raise FitError(what, hint="excite a second force direction, or use ml") from None
+        if not np.all(np.isfinite(values)):
+            raise FitError("iv diverged", hint="use ml")
+        return values
+
     def residual(self, values: FloatArray) -> ComplexArray:
         """Residual of the equation, (n_line, n_dof, n_input) [1]."""
         residual: ComplexArray = self.right_side - np.tensordot(values, self.terms, 1)
@@ -90,10 +120,8 @@ class Regression:
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
     """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
     if measured.n_equation <= len(model.terms):
-        raise FitError(
-            f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters",
-            hint="widen the band",
-        )
+        what = f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters"
+        raise FitError(what, hint="widen the band")
     weights = line_weights(measured, weight)
     terms = model.equation_terms(measured.matrix, measured.omega)
     right_side = model.equation_constant(measured.matrix, measured.omega)
@@ -103,24 +131,22 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
 
 
 def line_weights(measured: Measured, weight: str) -> FloatArray:
-    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s |Z| = s /
-    |H| in the equation of motion.
+    """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s / |H| in the
+    equation of motion.
 
     FitError for an unknown or zero noise. Equation (est-line-weights).
     """
     if weight == "none":
         return np.ones(measured.omega.size)
     if not has_noise(measured):
-        raise FitError(
-            "the noise of the FRF is not known, so lines cannot be weighted by it", hint="leave `weight` out"
-        )
+        what = "the noise of the FRF is not known, so lines cannot be weighted by it"
+        raise FitError(what, hint="leave `weight` out")
     assert measured.covariance is not None
     size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
-        raise FitError(
-            "a line of the FRF has no noise, so lines cannot be weighted by it", hint="leave `weight` out"
-        )
+        what = "a line of the FRF has no noise, so lines cannot be weighted by it"
+        raise FitError(what, hint="leave `weight` out")
     weights: FloatArray = size / noise
     return weights / float(np.max(weights))
 
@@ -128,9 +154,8 @@ def line_weights(measured: Measured, weight: str) -> FloatArray:
 def output_chi_square(
     measured: Measured, model: DynamicModel, values: FloatArray, dof: int
 ) -> tuple[float | None, float | None]:
-    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,).
-
-    None for an unknown noise.
+    """chi-square per degree of freedom [1] and p-value of measured - fitted FRF at *values* (n_parameter,),
+    if the noise is known.
     """
     if not has_noise(measured):
         return None, None
@@ -146,10 +171,8 @@ def output_chi_square(
 def _plain_design(
     measured: Measured, model: DynamicModel, values: FloatArray, noisy_terms: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Design matrix for the test of collinearity, and its amplification: measured or fitted model's,
-    whichever is worse.
-
-    Noise in the measured FRF makes collinear columns appear different; the model's FRF has none.
+    """Design matrix for the test of collinearity, and its amplification: of the measured FRF, whose noise
+    makes collinear columns differ, or of the model's, whichever is worse.
     """
     designs = [noisy_terms]
     with contextlib.suppress(FitError):
@@ -172,9 +195,7 @@ def equation_design(
 
 
 def triangle_of(columns: FloatArray) -> FloatArray:
-    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter) scaled to
-    length 1.
-    """
+    """Triangular factor R (n_parameter, n_parameter) [1] of *columns* (n_equation, n_parameter), scaled."""
     return scaled_triangle(columns)[1]
 
 
@@ -249,13 +270,12 @@ def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int
     return [group for group in groups if group[1]]
 
 
-# iv: instrumental variables, with the regressors of the fitted model's noise-free FRF as instruments (Young
-# 1970).
+# iv: instrumental variables, the regressors of the fitted model's noise-free FRF (Young 1970).
 
 MAX_ITERATIONS = 25
 TOLERANCE = 1e-4
-# Smallest canonical correlation between instruments and regressors. In trials on a three-dof system it is
-# above 0.39 for good fits and below 0.2 where the iteration diverges to a model unrelated to the data.
+# Smallest canonical correlation between instruments and regressors: in trials above 0.39 for good fits, and
+# below 0.2 where the iteration diverges to a model unrelated to the data.
 WEAKEST_INSTRUMENTS = 0.3
 BREAKDOWN_NOTE = (
     "iv broke down: the fitted model's FRF hardly resembles the measured one (smallest canonical "
@@ -270,9 +290,9 @@ def instrumental_variables(
     """V^T A p = V^T b, V being A with the model's FRF of the last estimate instead of the measured one;
     started from ls.
 
-    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4).
-    A fit with weak instruments counts as not converged. Standard errors: the sandwich (V^T A)^-1 (V^T Omega
-    V) (A^T V)^-1. FitError for dependent instruments. Equation (est-iv).
+    Stops when parameters or FRF change by less than 1e-4, after at most 25 iterations (Knaapen 1997, ch. 4);
+    weak instruments do not converge. Standard errors: (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for
+    dependent instruments. Equation (est-iv).
     """
     equation = regression(measured, model, weight)
     values, stationary, iterations = _iterate(
@@ -280,24 +300,20 @@ def instrumental_variables(
     )
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
-    correlation = weakest_correlation(instruments, statistics.stacked_terms(equation.terms))
+    correlation = weakest_correlation(instruments, equation.rows)
     converged = stationary and correlation >= WEAKEST_INSTRUMENTS
-    covariance = _sandwich(measured, model, equation, instruments, values)
     dof = measured.n_equation - len(model.terms)
     r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), len(model.terms))
-    gof = Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof))
-    notes = () if converged else (BREAKDOWN_NOTE.format(correlation=correlation),)
     design, amplification = equation_design(fitted_terms, model, values)
-    scaled = measured.shared_noise * covariance
     return statistics.Estimate(
         values=values,
-        covariance=scaled,
+        covariance=measured.shared_noise * _sandwich(measured, model, equation, instruments, values),
         scaled_design=design,
-        gof=gof,
+        gof=Goodness(r2, adjusted, *output_chi_square(measured, model, values, dof)),
         dof=dof,
         converged=converged,
         iterations=iterations,
-        notes=notes,
+        notes=() if converged else (BREAKDOWN_NOTE.format(correlation=correlation),),
         amplification=amplification,
     )
 
@@ -310,57 +326,25 @@ def instrument_step(
     """
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, regression(measured, model, weight))
-
-    def step(changed_model: DynamicModel, changed: Measured) -> FloatArray:
-        equation = regression(changed, changed_model, weight)
-        columns, side = (
-            statistics.stacked_terms(equation.terms),
-            statistics.stack(equation.right_side.reshape(-1)),
-        )
-        size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
-        return _solve_instrumental(instruments, columns, side, size)
-
-    return step
+    return lambda changed_model, changed: regression(changed, changed_model, weight).instrumental(instruments)
 
 
 def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
 ) -> tuple[FloatArray, bool, int]:
     """(estimate, True if converged, iterations)."""
-    columns, side = (
-        statistics.stacked_terms(equation.terms),
-        statistics.stack(equation.right_side.reshape(-1)),
-    )
-    # Parameters of different dimension are compared in units of the regressors' lengths.
-    size = np.sqrt(np.einsum("pe,pe->p", columns, columns))
     last: ComplexArray | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)
         instruments = _weighted_columns(model.equation_terms(response, measured.omega), equation)
-        new = _solve_instrumental(instruments, columns, side, size)
-        stationary = _change(new * size, values * size) < TOLERANCE or (
+        new = equation.instrumental(instruments)
+        stationary = _change(new * equation.lengths, values * equation.lengths) < TOLERANCE or (
             last is not None and _change(response, last) < TOLERANCE
         )
         values, last = new, response
         if stationary:
             return values, True, iteration
     return values, False, MAX_ITERATIONS
-
-
-def _solve_instrumental(
-    instruments: FloatArray, columns: FloatArray, side: FloatArray, size: FloatArray
-) -> FloatArray:
-    """(V^T A)^-1 V^T b, both sides scaled by the *size* of the regressors in between."""
-    product = (instruments @ columns.T) / np.outer(size, size)
-    try:
-        values: FloatArray = np.linalg.solve(product, (instruments @ side) / size) / size
-    except np.linalg.LinAlgError:
-        raise FitError(
-            "the instruments of iv are linearly dependent", hint="excite a second force direction, or use ml"
-        ) from None
-    if not np.all(np.isfinite(values)):
-        raise FitError("iv diverged", hint="use ml")
-    return values
 
 
 def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
@@ -379,12 +363,10 @@ def weakest_correlation(instruments: FloatArray, columns: FloatArray) -> float:
 def _sandwich(
     measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """Covariance of the estimate from the noise of the FRF or, if it is unknown, from the residual line by
-    line (White).
-    """
+    """Covariance of the estimate from the noise of the FRF or, if unknown, from the residual (White)."""
     scores = _scores if has_noise(measured) else _residual_scores
     middle = scores(measured, model, equation, instruments, values)
-    bread = np.linalg.pinv(instruments @ statistics.stacked_terms(equation.terms).T)
+    bread = np.linalg.pinv(instruments @ equation.rows.T)
     covariance: FloatArray = bread @ middle @ bread.T
     return covariance
 
@@ -392,9 +374,7 @@ def _sandwich(
 def _scores(
     measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """V^T Omega V with Omega of the equation's error Z dH, cov(Z dH) = (Z x I) cov(dH) (Z x I)^H, half of it
-    in the real part.
-    """
+    """V^T Omega V of the equation's error, Omega = (Z x I) cov(dH) (Z x I)^H, half of it in the real part."""
     assert measured.covariance is not None
     n_line, n_output, n_input = measured.matrix.shape
     z = model.dynamic_stiffness(values, measured.omega) * equation.line_weights[:, None, None]

@@ -1,6 +1,6 @@
-"""A test of several recordings, or of several hits, of the same FRFs: each is fitted alone, and the
-parameters are means of these repeats, with the part between them and the model error that all of them share.
-Where they follow the level of the force, they are stated at the middle one; where they drift, in the middle.
+"""A test of several recordings, or hits, of the same FRFs: each is fitted alone, and the parameters are means
+of these repeats, with the part between them and the model error that they share. Where they follow the level
+of the force, they are stated at the middle one; where they drift, in the middle.
 """
 
 from __future__ import annotations
@@ -57,11 +57,12 @@ class _Test:
     fitting: Fitting
 
     def alone(self, matrix: ComplexArray) -> tuple[Fit, ...]:
-        """The fits of one recording, whose noise its own residual shows."""
+        """The fits of one recording, whose noise its own residual shows; that of all weighs its lines."""
+        of_all = None if self.settings.weight == "none" else self.response.covariance
         recording = replace(
             self.response,
             matrix=matrix,
-            covariance=None,
+            covariance=None if of_all is None else len(self.response.repeat_names) * of_all,
             change=None,
             open_loop=None,
             distortion=None,
@@ -81,12 +82,10 @@ class _Test:
         """One of them, as a sentence begins with it."""
         return f"recording '{name}'" if self.response.repeats_are == "recordings" else name
 
-    def levels(self, names: Sequence[str]) -> FloatArray | None:
-        """Of the force, (n,) [its unit]; None where they are not known."""
+    def levels(self, places: Sequence[int]) -> FloatArray | None:
+        """Of the force, (n,) [its unit], in the recordings at *places*; None where they are not known."""
         levels = self.response.repeat_levels
-        if levels is None or not np.all(levels > 0):
-            return None
-        return levels[[self.response.repeat_names.index(name) for name in names]]
+        return None if levels is None or not np.all(levels > 0) else levels[list(places)]
 
 
 def over_repeats(
@@ -99,30 +98,31 @@ def over_repeats(
     """
     assert response.repeats is not None
     test = _Test(response, settings.kind.of_repeat(settings, pooled), fitting)
-    repeats: dict[str, tuple[Fit, ...]] = {}
+    # By place: recordings of several folders may have one name.
+    repeats: dict[int, tuple[Fit, ...]] = {}
     failed = []
-    for name, matrix in zip(response.repeat_names, response.repeats, strict=True):
+    for place, matrix in enumerate(response.repeats):
         try:
             fits = test.alone(matrix)
         except FitError as error:
-            failed.append(note("repeat-left-out", f"{test.named(name)} is left out: {error.what}"))
+            named = test.named(response.repeat_names[place])
+            failed.append(note("repeat-left-out", f"{named} is left out: {error.what}"))
             continue
         if len(fits) == len(pooled):
-            repeats[name] = tuple(map(_numbered_as, pooled, fits))
+            repeats[place] = tuple(map(_numbered_as, pooled, fits))
+    pooled = tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
     if len(repeats) < 2:
-        return tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
+        return pooled
     return tuple(
-        _over(fit, {name: fits[place] for name, fits in repeats.items()}, failed, test)
-        for place, fit in enumerate(pooled)
+        _over(fit, tuple(repeats), of_fit, test)
+        for fit, of_fit in zip(pooled, zip(*repeats.values(), strict=True), strict=True)
     )
 
 
 def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
-    """The *fit* with every mode under the number of the mode of *pooled* that is nearest in frequency.
-
-    A repeat may not show all of them. Modes far from all lose their parameters.
+    """The *fit* with every mode under the number of the mode of *pooled* that is nearest in frequency; modes
+    far from all of them lose their parameters.
     """
-
     values = {parameter.name: parameter.value for parameter in pooled.parameters}
     ours, theirs = (
         {
@@ -170,9 +170,9 @@ class _Values:
         return _Values(self.values[np.array(used)], self.variances[np.array(used)], self.log)
 
 
-def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], test: _Test) -> Fit:
-    """A fit of all recordings with its parameters as means over *repeats*."""
-    by_name = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats.values()]
+def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
+    recordings = [test.response.repeat_names[place] for place in places]
+    by_name = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats]
     names = [
         p.name for p in pooled.parameters if all(_usable(of_repeat.get(p.name)) for of_repeat in by_name)
     ]
@@ -180,11 +180,11 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
         return pooled
     columns = {name: _Values.of([of_repeat[name] for of_repeat in by_name]) for name in names}
     judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
-    groups = groups_of(test.settings.repeat_groups, list(repeats)) if test.settings.repeat_groups else ()
-    levels = None if groups else test.levels(list(repeats))
+    groups = groups_of(test.settings.repeat_groups, recordings) if test.settings.repeat_groups else ()
+    levels = None if groups else test.levels(places)
     kept, course = _course(levels, [columns[name] for name in judged], groups)
     used = [bool(of_repeat) for of_repeat in kept.used]
-    good = [fit for fit, is_used in zip(repeats.values(), used, strict=True) if is_used]
+    good = [fit for fit, is_used in zip(repeats, used, strict=True) if is_used]
     common = {parameter.name: parameter for parameter in _common(pooled, good, test)}
     ratios = {p.name.partition("_")[2]: abs(p.value) for p in pooled.parameters if p.name.startswith(DAMPING)}
     means, stated = {}, []
@@ -225,16 +225,14 @@ def _over(pooled: Fit, repeats: Mapping[str, Fit], failed: Sequence[Finding], te
     return replace(
         pooled,
         parameters=tuple(stated),
-        findings=(*pooled.findings, *failed, *_findings(list(repeats), kept, means, test, course)),
-        notes=(*pooled.notes, _wording(sum(used), test, course)),
+        findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
+        notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )
 
 
 @dataclass(frozen=True)
 class _Course:
-    """What values follow, *of* LEVEL or ORDER: the *covariate* (n_used,) [1], 0 where they are stated, *at*
-    that level or place.
-    """
+    """What values follow, *of* LEVEL or ORDER: the *covariate* (n_used,) [1], 0 where stated, *at*."""
 
     of: str
     covariate: FloatArray
@@ -244,8 +242,8 @@ class _Course:
 def _course(
     levels: FloatArray | None, judged: Sequence[_Values], groups: Sequence[str]
 ) -> tuple[Kept, _Course | None]:
-    """Which repeats are used, and what is *judged* follows: their *levels* (n,) over the middle one less 1,
-    else their order, from -1/2 to 1/2; None where neither, or where *groups* are named.
+    """Which repeats are used, and what *judged* follows: their *levels* (n,) over the middle one less 1, else
+    their order, from -1/2 to 1/2; None where neither, or of named *groups*.
     """
     values, variances = (
         np.stack([getattr(of, part) for of in judged], axis=1) for part in ("values", "variances")
@@ -269,8 +267,8 @@ def _usable(parameter: Parameter | None) -> bool:
 
 
 def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> float:
-    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else twice that of the repeats or their
-    noise, whichever is larger. *parameter* of all together, whose noise is that between the repeats.
+    """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else twice the scatter of the repeats or
+    their noise, also that of the *parameter* of all together.
     """
     name = parameter.name
     if of.log and name.startswith(FREQUENCY):
@@ -283,8 +281,8 @@ def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> fl
 
 
 def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter, ...]:
-    """The parameters of the aligned mean: residuals of all repeats on the curve of the pooled fit, which hold
-    the model error that they share and no longer what moved between them.
+    """The parameters of the aligned mean: the mean residual of all repeats on the curve of the pooled fit has
+    the model error that they share, and no longer what moved between them.
     """
     curves = [fit.curve for fit in repeats if fit.curve is not None]
     if pooled.curve is None or len(curves) < len(repeats):
@@ -303,9 +301,8 @@ def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter
 def _align(
     pooled: FittedCurve, curves: Sequence[FittedCurve], response: FrequencyResponse
 ) -> FrequencyResponse | None:
-    """The curve of the pooled fit and the mean residual of its repeats, with the scatter of that.
-
-    None where a result shows a part of the FRFs only, or where there is no scatter.
+    """The curve of the pooled fit and the mean residual of its repeats, with the scatter of that; None of a
+    part of the FRFs, or without scatter.
     """
     outputs = tuple(port for port in response.outputs if port.label in pooled.outputs)
     inputs = tuple(port for port in response.inputs if port.label in pooled.inputs)
@@ -347,8 +344,8 @@ def _statement(
     summary: Repeats,
     aside: Sequence[Parameter] = (),
 ) -> Parameter:
-    """The mean with the hull of its own interval, that with the model error that all repeats share, and the
-    first or last repeat *aside*, which may be another state.
+    """The mean with the hull of its interval, that with the shared model error, and the first or last repeat
+    *aside*, which may be another state.
     """
     shift, extra = _common_part(common, log=of.log)
     between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))
@@ -383,11 +380,11 @@ def _statement(
     )
 
 
-def _wording(used: int, test: _Test, course: _Course | None) -> str:
+def _wording(used: int, groups: Sequence[str], test: _Test, course: _Course | None) -> str:
     response = test.response
     recorded, what = len(response.repeat_names), response.repeats_are
     over = f"{used} {what}" if used == recorded else f"{used} of {recorded} {what}"
-    over += in_groups(test.settings.repeat_groups)
+    over += in_groups(groups)
     level = ""
     if course is not None and course.of == LEVEL:
         size = f"{'a peak' if what == 'hits' else 'an r.m.s.'} of {course.at:.3g} [SI]"

@@ -19,8 +19,7 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.statistics import bisected, mixture_interval, student_limit
 
-# Repeats that stand out against the others. Below this number none can be told, below the second more is
-# asked for.
+# Below this number of repeats none can stand out, below the second more is asked for.
 LEAST_FOR_OUTLIERS, FEW = 5, 8
 # Robust standard deviations beyond which a repeat stands out: of few repeats, and of more.
 FAR_OF_FEW, FAR = 7.0, 4.5
@@ -35,11 +34,10 @@ ROUNDS = 50
 PRIOR_SCALE = 0.3
 # Points on which tau is integrated.
 N_TAU = 80
-# Repeats from which on a curvature over the covariate, and an order in time, can be seen, and their critical
-# values.
+# Repeats from which on a curvature, and an order in time, can be seen, and their critical values.
 LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
 CURVED, ORDERED = 2.0, 1.645
-# Repeats from which on a course over a condition is looked for, and the range of that over its middle.
+# Repeats from which on a course over a condition is looked for, and its range over the middle.
 LEAST_FOR_COURSE, LEAST_RANGE = 5, 0.25
 # Largest correlation of neighbours that is believed.
 MOST_CORRELATED = 0.9
@@ -47,12 +45,10 @@ MOST_CORRELATED = 0.9
 
 @dataclass(frozen=True)
 class RepeatMean:
-    """The mean *value* of repeats (at covariate 0) and the *half_width* of its 95 % interval; both in the
-    unit of the repeats.
+    """The mean *value* of repeats (at covariate 0) and the *half_width* of its 95 % interval [any unit].
 
     *spread*: median of tau; *weights* (n,) of the repeats in the mean, sum 1; *slopes* (n_column,) over the
-    covariate and its square; *residual* (n,): of the repeats. *stretch*: factor on the number of repeats that
-    each stands for less than one, 1 without an order in time; *correlation* of neighbours [1].
+    covariate and its square; *ordered*: neighbours in time are alike, the repeats drift or come in steps.
     """
 
     value: float
@@ -60,21 +56,12 @@ class RepeatMean:
     spread: float
     weights: FloatArray
     slopes: FloatArray
-    residual: FloatArray
-    stretch: float = 1.0
-    correlation: float = 0.0
-
-    @property
-    def ordered(self) -> bool:
-        """Whether neighbours in time are alike: the repeats drift or come in steps."""
-        return self.stretch > 1.0
+    ordered: bool = False
 
 
 @dataclass(frozen=True)
 class Kept:
-    """Which repeats are used, (n,), and whether so many stand outside that they are two populations, all of
-    which are used.
-    """
+    """Which repeats are used, (n,): all where so many stand outside that they are two populations."""
 
     used: BoolArray
     two_populations: bool = False
@@ -86,10 +73,10 @@ def kept_repeats(
     """Drops repeats beyond k sqrt(MAD^2 + v_i) in any of their quantities, k = 7 for n < 8, else 4.5; none
     for n < 5.
 
-    *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] the
-    residuals of a line of least absolute deviations are judged, with *groups* (n,) the values less the
-    median of their group, of which one in each group says nothing. More than a quarter outside, or several
-    at one end of the order, are two populations, and all stay. Equation (repeats-outliers).
+    *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] residuals
+    of a line of least absolute deviations are judged, with *groups* (n,) the values less their group's
+    median. More than a quarter outside, or several at one end of the order, are two populations, and all
+    stay. Equation (repeats-outliers).
     """
     n, n_group = len(values), len(set(groups))
     if n - max(n_group - 1, 0) < LEAST_FOR_OUTLIERS:
@@ -113,9 +100,7 @@ def kept_repeats(
 
 
 def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
-    """The lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least
-    squares.
-    """
+    """Lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least squares."""
     columns = np.stack([np.ones_like(covariate), covariate - np.mean(covariate)], axis=1)
     lines = np.empty_like(values)
     for number, y in enumerate(values.T):
@@ -156,20 +141,15 @@ def repeat_mean(
     shares /= shares.sum()
     solution = shares @ solutions
     low, high = mixture_interval(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
-    residual = values - columns @ solution
-    stretch, correlation = order_in_time(residual)
+    stretch, _ = order_in_time(values - columns @ solution)
     spread = float(taus[np.searchsorted(np.cumsum(shares), 0.5)])
-    mean_weights = shares @ projection[:, 0]
     half_width = (high - low) / 2 * _longer(stretch, n, n_column)
-    return RepeatMean(
-        float(solution[0]), half_width, spread, mean_weights, solution[1:], residual, stretch, correlation
-    )
+    mean_weights = shares @ projection[:, 0]
+    return RepeatMean(float(solution[0]), half_width, spread, mean_weights, solution[1:], stretch > 1.0)
 
 
 def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | None) -> FloatArray:
-    """Columns (n, n_column) [1] of the mean: 1, the *covariate* (n,), its square where eight repeats or more
-    show it (|t| > 2).
-    """
+    """Columns (n, n_column) [1] of the mean: 1, the *covariate* (n,), its square where eight show it."""
     ones = np.ones_like(values)
     if covariate is None:
         return ones[:, None]
@@ -198,7 +178,7 @@ def follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) ->
 
 def drifts(values: FloatArray, variances: FloatArray, place: FloatArray) -> bool:
     """Whether *values* (n,) [any unit], *variances* (n,) of their noise, follow their *place* (n,) [1] in the
-    order of recording: neighbours are alike, and a line leaves less than one or two steps, as between days.
+    order of recording: neighbours are alike, and a line leaves less than one or two steps.
     """
     if order_in_time(values)[0] == 1.0 or not follows(values, variances, place):
         return False
@@ -254,9 +234,8 @@ def groups_of(patterns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
         matching = [pattern for pattern in patterns if fnmatchcase(name, pattern)]
         if len(matching) != 1:
             which = " and ".join(f"'{pattern}'" for pattern in matching) or "none of them"
-            raise ConfigError(
-                f"repeat_groups: '{name}' matches {which}", hint=f"there are {', '.join(names)}"
-            )
+            what = f"repeat_groups: '{name}' matches {which}"
+            raise ConfigError(what, hint=f"there are {', '.join(names)}")
         groups.append(matching[0])
     if len(set(groups)) < 2:
         raise ConfigError(f"repeat_groups: all are of the group '{groups[0]}'", hint="name two at least")
@@ -274,8 +253,8 @@ def mean_of_groups(
 ) -> RepeatMean:
     """The mean over known *groups* (n,), such as days or mountings, the mean of each is one repeat.
 
-    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean; weights and residuals
-    are those of the values. Equation (repeats-group).
+    *values* (n,) [any unit], *variances* (n,) [unit^2] and *scale* as in repeat_mean; weights of the values.
+    Equation (repeats-group).
     """
     names, labels = list(dict.fromkeys(groups)), np.array(groups)
     means, within = [], np.zeros((len(names), values.size))
@@ -288,7 +267,7 @@ def mean_of_groups(
         within[number, members] = weights / weights.sum()
     of_groups = np.array(means)
     mean = repeat_mean(of_groups[:, 0], of_groups[:, 1], scale)
-    return replace(mean, weights=mean.weights @ within, residual=values - mean.value)
+    return replace(mean, weights=mean.weights @ within)
 
 
 def order_in_time(residual: FloatArray) -> tuple[float, float]:
@@ -309,9 +288,7 @@ def order_in_time(residual: FloatArray) -> tuple[float, float]:
 
 
 def _longer(stretch: float, n: int, n_column: int) -> float:
-    """Factor on the half-width of n repeats of which neighbours are alike: sqrt(k) and the quantile of the
-    fewer that they stand for.
-    """
+    """Factor on the half-width where neighbours are alike: sqrt(k) and the quantile of fewer repeats."""
     if stretch <= 1.0:
         return 1.0
     return float(np.sqrt(stretch) * student_limit(max(1.0, n / stretch - 1)) / student_limit(n - n_column))

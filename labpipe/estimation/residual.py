@@ -1,18 +1,12 @@
 """Whether the residual of a fit is noise, and the scatter of the residual along the lines as its covariance.
 
-Covariance of an output-error fit from the scatter of its residual along the lines, for noise that is not
-known or not all there is.
-
 Every line gives a share of the estimate; the shares of lines near each other may have common noise (a window
 spreads it), and lines may differ in noise. The sum of their products with Bartlett's weights allows for both
 (Newey and West 1987, Econometrica 55:703).
 
-Whether the residual of a fit is noise, where the size of the noise is not known: its structure against that
-of noise under the same fit.
-
-A residual is what noise becomes after the fit has taken its part, (I - P) n with P the projection on the
-Jacobian's columns. So noise is drawn, projected likewise, and the same statistics are computed of the draws:
-their p-values are exact whatever the band.
+Where the size of the noise is not known, the structure of the residual is held against that of noise under
+the same fit: a residual is (I - P) n with P the projection on the Jacobian's columns, so noise is drawn,
+projected likewise, and the same statistics are computed: their p-values are exact whatever the band.
 """
 
 from __future__ import annotations
@@ -47,12 +41,12 @@ def line_scatter(
     """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d
     / (D + 1).
 
-    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1] of
-    output_error.OutputError: real parts, then imaginary parts. (1 - H_ll)^-1 undoes what the line itself
-    takes from its residual (jackknife, MacKinnon and White 1985). The degrees of freedom are those of a
-    quadratic form of independent lines (Bell and McCaffrey 2002, Survey Methodology 28:169). *alone*: the
-    noise of every line is its own, so that D = 0 and only its size differs (HC3, MacKinnon and White 1985).
-    numpy.linalg.LinAlgError for dependent columns. Equation (est-line-scatter).
+    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1]: real parts,
+    then imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife,
+    MacKinnon and White 1985). The degrees of freedom are those of a quadratic form of independent lines (Bell
+    and McCaffrey 2002, Survey Methodology 28:169). *alone*: the noise of every line is its own, so that D = 0
+    and only its size differs (HC3, MacKinnon and White 1985). numpy.linalg.LinAlgError for dependent columns.
+    Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)
@@ -79,19 +73,15 @@ def jackknife_residual(leverage: FloatArray, residual: FloatArray) -> FloatArray
 
 
 def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
-    """Columns (n_equation, n) as (n_line, n_equation / n_line, n): the real and imaginary parts of one line
-    together.
-    """
+    """Columns (n_equation, n) by line, (n_line, n_equation / n_line, n)."""
     n = columns.shape[1]
     return columns.reshape(2, n_line, -1, n).swapaxes(0, 1).reshape(n_line, -1, n)
 
 
 def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
-    """Number of lines that determine each variance, (n_parameter,) [1]: by the model's slopes and by the
-    shares seen, whichever is less.
-
-    (sum v)^2 / sum v^2 of the variances v of the shares, (n_line, n_parameter); normal shares g have E g^4 =
-    3 v^2. A residual of zero has no shares.
+    """Number of lines that determine each variance, (n_parameter,) [1], by the model's slopes and by the
+    shares seen: (sum v)^2 / sum v^2 of their variances v, (n_line, n_parameter); normal ones have E g^4 =
+    3 v^2.
     """
     by_slopes = np.sum(influence, axis=0) ** 2 / np.sum(influence**2, axis=0)
     fourth = np.sum(squares**2, axis=0)
@@ -102,7 +92,7 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
 STRUCTURE_P = 0.01
 # Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.
 DRAWS, FEWEST_DRAWS = 1999, 599
-# Number of complex values in all draws together that is aimed at, and beyond which there is no test.
+# Complex values in all draws together, and beyond which there is no test.
 VALUES, MOST_VALUES = 2_000_000, 20_000_000
 LAGS = 8
 WIDTHS = (3, 6, 12)
@@ -145,9 +135,8 @@ def residual_structure(
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per
     parameter unit].
 
-    *size* (n_line, n_element) [m/N]: amplitude of the response. Both parts are ordered as in `output_error`:
-    real parts line by line, then imaginary parts. None where the lines are too few for any structure.
-    Equation (est-structure).
+    *size* (n_line, n_element) [m/N]: amplitude of the response. Real parts line by line stand before
+    imaginary ones. None where the lines are too few for any structure. Equation (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + DEGREE + 1:
@@ -171,9 +160,7 @@ def residual_structure(
 
 
 def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
-    """Root of the power along the lines (n_line, n_element) [1]: the mean one, or a + b *size*^2 by least
-    squares, both at least 0.
-    """
+    """Root of the power along the lines (n_line, n_element) [1]: the mean, or a + b *size*^2, both >= 0."""
     power = np.abs(errors) ** 2
     mean = np.mean(power, axis=0)
     if size is None:
@@ -190,15 +177,13 @@ def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) 
     rng = np.random.default_rng(n_line)
     if shared is None:
         return rng.standard_normal((2 * n_line * n_element, n_draw))
-    noise = shared.drawn_often(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
+    noise = shared.drawn(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
     return np.concatenate([noise.real, noise.imag])
 
 
 def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) -> FloatArray:
-    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large,
-    whatever their size.
-
-    *size* (n_line, n_element) [m/N]; *smooth* (n_line, n_curve) [1]: curves that are looked for.
+    """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large, of any
+    size; *size* (n_line, n_element) [m/N], *smooth* (n_line, n_curve) [1].
     """
     scaled = residual / np.sqrt(np.mean(np.abs(residual) ** 2, axis=0))
     lags = [np.abs(np.sum(scaled[d:] * scaled[:-d].conj(), axis=0)) ** 2 for d in range(1, LAGS + 1)]
@@ -211,9 +196,7 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
-    """The least p-value of the statistics *observed* (4,), against the least ones of the draws (n_draw,
-    4).
-    """
+    """The least p-value of *observed* statistics (4,), against the least ones of the draws (n_draw, 4)."""
     n_draw = draws.shape[0]
     p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)

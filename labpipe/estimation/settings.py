@@ -1,8 +1,5 @@
 """Settings of one fit, the kinds of models and the tables of models and estimators.
 
-A kind of model: how it is fitted, which keys of a fit it takes, and its properties, which other code asks for
-instead of its name.
-
 Every kind is looked at when a pipeline is read, so the modules of the kinds import no code that fits: their
 functions do, when called.
 """
@@ -39,22 +36,18 @@ class ModelKind:
     """How fits of a model are made, and what is true of it.
 
     fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak.
-    section: key of the model's own settings in a fit, their dataclass *settings*, and an *example* of the
-    section, *optional* where all of them have defaults. earlier: name of the fit whose result this one begins
-    with, empty for none; begin: the settings with the result of that fit among *fits*. times_mass: stiffness
-    and damping are the given mass times what is fitted.
+    section: key of the model's own *settings* in a fit, and an *example* of it, *optional* where all have
+    defaults. earlier: name of the fit whose result this one begins with, or empty; begin: the settings with
+    that result among *fits*.
 
     keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood:
-    those of them that only an estimator by likelihood takes. estimators: names of those that fit it; empty:
-    any. equations: of a model linear in its parameters, from ports and settings; None for a model fitted in
-    its own way.
+    those that only an estimator by likelihood takes. estimators: names of those that fit it; empty: any.
+    equations: of a model linear in its parameters, from ports and settings; else None.
 
-    one_frf: k, c and m of the FRF of one response to one force. one_mode: of a mass on a spring, with f_n and
-    zeta. matrix_modes: the modes of its K, C and M are derived. one_direction: a stiffness and a damping for
-    each direction, uncoupled. of_base: its input is the motion of a base; any_input: no force is
-    needed. own_damping: every mode has one
-    damping of its own. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare
-    with.
+    one_frf: k, c and m of one FRF. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes: the
+    modes of its K, C and M are derived. one_direction: uncoupled stiffness and damping for each direction.
+    of_base: its input is the motion of a base; any_input: no force is needed. own_damping: every mode has one
+    damping. frees_mass: a given mass can as well be estimated. richer, simpler: models to compare with.
     """
 
     fit: Callable[[Any, FitSettings], tuple[Fit, ...]]
@@ -66,7 +59,6 @@ class ModelKind:
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of_repeat: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of: str = RESPONSES
-    times_mass: bool = False
     keys: tuple[str, ...] = ("mass", "input", "output", "bands")
     by_likelihood: tuple[str, ...] = ()
     estimators: tuple[str, ...] = ()
@@ -249,10 +241,13 @@ class FitSettings(Settings):
         """The Estimator of that name; ConfigError for an unknown one."""
         return estimator_of(self.estimator)
 
+    @property
+    def frees_mass(self) -> bool:
+        """Whether the mass of one oscillator is estimated: neither given nor among the fixed coefficients."""
+        return self.mass == ESTIMATE and "m" not in dict(self.fixed)
+
     def _check_keys(self) -> None:
-        """ConfigError for an estimator that does not fit the model, and for keys that would change nothing
-        that is computed.
-        """
+        """ConfigError for an estimator that does not fit the model, and for keys that change nothing."""
         kind = self.kind
         every = {name: estimator_of(name) for name in ESTIMATORS}
         able = kind.estimators or [name for name, by in every.items() if kind.one_frf or not by.one_frf]
@@ -277,27 +272,29 @@ class FitSettings(Settings):
         """ConfigError for keys that change nothing, or have no meaning, beside others."""
         law, free_mass = self.damping != VISCOUS, self.mass == ESTIMATE
         either = "leave one of them out"
-        what = "'repeat_groups' needs every recording fitted alone"
-        _refuse(
-            self.repeat_groups and self.repeats == "pool", "repeat_groups", what, "leave out repeats: pool"
-        )
+        what, is_pool = "'repeat_groups' needs every recording fitted alone", self.repeats == "pool"
+        _refuse(self.repeat_groups and is_pool, "repeat_groups", what, "leave out repeats: pool")
         what = "one group does not show what groups scatter by"
         hint = "for example [mon-*, tue-*, wed-*]"
         _refuse(len(self.repeat_groups) == 1, "repeat_groups", what, hint)
         _refuse(not 0 < self.coverage < 1, "coverage", "'coverage' must lie between 0 and 100 %")
         several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
-        what = (
-            f"{self.damping} damping is of several coefficients, every mode of model {self.model} has its own"
+        every = f"every mode of model {self.model} has its own"
+        _refuse(
+            several, "damping", f"{self.damping} damping is of several coefficients, {every}", "leave it out"
         )
-        _refuse(several, "damping", what, "leave it out")
         what = f"'eliminate' cannot be combined with {self.damping} damping"
         _refuse(law and self.eliminate, "eliminate", what, either)
+        of_both = "whose factor is that of bearing and support together"
+        what = f"'subtract' cannot be combined with {self.damping} damping, {of_both}"
+        not_viscous = self.subtract and law and not DAMPINGS.load(self.damping).viscous
+        _refuse(not_viscous, "subtract", what, either)
+        _refuse(self.share < 1, "share", "'share' must be at least 1")
         what = "'scale_mass' needs the mass to be scaled"
         _refuse(self.scale_mass and free_mass, "scale_mass", what, "for example mass: [1 kg, 2 kg]")
-        what = "'lumped_mass' is for a mass that is estimated"
-        _refuse(self.lumped_mass and not free_mass, "lumped_mass", what, "mass: estimate")
-        what = "'residuals' is for a mass that is estimated"
-        _refuse(self.residuals and not free_mass, "residuals", what, "mass: estimate")
+        for key in ("lumped_mass", "residuals"):
+            what = f"'{key}' is for a mass that is estimated"
+            _refuse(getattr(self, key) and not free_mass, key, what, "mass: estimate")
         others = {"damping": law, "fixed": self.fixed, "eliminate": self.eliminate}
         of_mass = {"subtract": self.subtract, "share": self.share != 1}
         for key, there in (others | of_mass).items():
@@ -309,7 +306,9 @@ class FitSettings(Settings):
 
     def _check_bands(self) -> None:
         """ConfigError for bands or ports that are set twice."""
-        ports = self.input or self.output
+        sliding, ports = self.sliding, self.input or self.output
+        what = "width and step of sliding bands must be positive"
+        _refuse(sliding and min(sliding.width, sliding.step) <= 0, "sliding", what)
         what = "'bands' goes with neither 'band' nor 'sliding'"
         _refuse(self.bands and (self.band or self.sliding), "bands", what, "name all bands under bands")
         hint = "leave out band, bands, sliding, input and output"
@@ -346,7 +345,7 @@ def check_kind(settings: FitSettings, measured: str) -> None:
 
 
 def model_kind(name: str) -> ModelKind:
-    """The kind of model of that name; of a plug-in's function, that of a model linear in its parameters."""
+    """The kind of that name; of a plug-in's function, that of a model linear in its parameters."""
     entry = MODELS.load(name)
     return entry if isinstance(entry, ModelKind) else linear_kind(entry, "tied", "damping")
 

@@ -22,11 +22,10 @@ class Estimate:
 
     values (n_parameter,) [parameter units]; covariance (n_parameter, n_parameter); scaled_design
     (n_parameter, n_parameter): triangular factor of the real design or Jacobian with columns of length 1;
-    dof: real equations - parameters; parameter_dof (n_parameter,): the same of the regression of each
-    parameter, where a fit consists of several (ls: one per direction), else None. amplification
-    (n_parameter,), in the parameters' units: largest change of a parameter per relative error of the FRF;
-    half of it for an error of half the FRF's size in the worst possible direction. squares: sum of the
-    weighted residual's squares [1]. Both are None where the estimator does not compute them.
+    dof: real equations - parameters; parameter_dof (n_parameter,): the same of each parameter's regression,
+    where a fit is of several (ls: one per direction), else None. amplification (n_parameter,) [parameter
+    units]: largest change of a parameter per relative error of the FRF; squares: sum of the weighted
+    residual's squares [1]; both None where the estimator does not compute them.
     """
 
     values: FloatArray
@@ -48,8 +47,7 @@ class Estimate:
 
 
 def determination(right_side: ComplexArray, residual: ComplexArray, n_parameter: int) -> tuple[float, float]:
-    """R^2 = 1 - SS_residual / SS_total [1], and its adjusted form 1 - (1 - R^2)(n - 1)/(n - k), n real
-    equations.
+    """R^2 = 1 - SS_residual / SS_total [1], and adjusted 1 - (1 - R^2)(n - 1)/(n - k), n real equations.
 
     right_side, residual (n_line, n_dof, n_input). SS_total is about the mean of the real and imaginary parts
     in one column, as in the regression (Lim et al. 2009, eq. 23). Equation (est-r2).
@@ -78,9 +76,7 @@ def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vi
 
 
 def widen(parameter: Parameter, factor: float) -> Parameter:
-    """The parameter with its interval *factor* [1] times as wide, because noise is not all that is wrong;
-    std_error stays that of noise.
-    """
+    """The parameter with its interval *factor* [1] times as wide; std_error stays that of noise."""
     if parameter.std_error is None:
         return parameter
     error, value = factor * parameter.std_error, parameter.value
@@ -117,10 +113,8 @@ def derive(name: str, unit: str, value: float, std_error: float, dof: int) -> Pa
 
 
 def inflation_factors(scaled_design: FloatArray) -> FloatArray:
-    """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of columns of length 1; 1
-    for an orthogonal column.
-
-    *scaled_design* (n_parameter, n_parameter). Equation (est-vif).
+    """Variance inflation of each parameter, (n_parameter,) [1]: diag((W^T W)^-1) of *scaled_design*
+    (n_parameter, n_parameter); 1 for an orthogonal column. Equation (est-vif).
     """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
@@ -128,10 +122,8 @@ def inflation_factors(scaled_design: FloatArray) -> FloatArray:
 
 
 def condition_number(scaled_design: FloatArray) -> float:
-    """Largest over smallest singular value [1] of the design (n_parameter, n_parameter) of unit columns
-    (Belsley, Kuh and Welsch 1980).
-
-    Equation (est-condition).
+    """Largest over smallest singular value [1] of a design (n_parameter, n_parameter) of unit columns
+    (Belsley, Kuh and Welsch 1980). Equation (est-condition).
     """
     singular = np.linalg.svd(scaled_design, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
@@ -152,9 +144,7 @@ def stack(values: ComplexArray) -> FloatArray:
 
 
 def stacked_terms(terms: ComplexArray) -> FloatArray:
-    """Regressors (n_parameter, n_line, n_dof, n_input) as real rows (n_parameter, n_equation) [same unit],
-    with a single copy.
-    """
+    """Regressors (n_parameter, n_line, n_dof, n_input) as real rows (n_parameter, n_equation) [same unit]."""
     rows = np.empty((terms.shape[0], 2, *terms.shape[1:]))
     rows[:, 0], rows[:, 1] = terms.real, terms.imag
     return rows.reshape(terms.shape[0], -1)
@@ -186,9 +176,7 @@ def mixture_interval(weights: FloatArray, means: FloatArray, deviations: FloatAr
 
 
 def combination_text(names: Sequence[str], direction: FloatArray, least: float = 0.2) -> str:
-    """A *direction* (n_parameter,) [-] as text: "clearance +1.00, viscosity +2.00" where both change; parts
-    below *least* are left out.
-    """
+    """A *direction* (n_parameter,) [-] as "clearance +1.00, viscosity +2.00"; no parts below *least*."""
     # Sorted as printed: parts that look alike keep the order of their names, whatever their last digits.
     order = np.argsort(-np.round(np.abs(direction) / np.max(np.abs(direction)), 2), kind="stable")
     direction = direction / direction[order[0]]
@@ -215,8 +203,8 @@ def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) ->
     return np.asarray(-changes @ slopes @ covariance)
 
 
-# Distance between a stated number and what the data ask for, in the standard uncertainty of both together,
-# beyond which they contradict each other; with many numbers the one of chance among all of them.
+# Standard uncertainties of both together from a stated number to what the data ask for, beyond which they
+# contradict each other; with many numbers the one of chance among all of them.
 FAR, FAR_P = 3.0, 0.01
 # Part of a posterior variance by the data below which they say nothing of a number.
 SAYS_NOTHING = 1e-9
@@ -228,9 +216,9 @@ class Pulls:
     uncertainty away from what was stated.
 
     likely (n_source,) [standard uncertainties]: the most likely change of each number; asked, error
-    (n_source,): that which the data by themselves ask for, the others within what was stated, and its
-    standard error, large where the data say nothing. explained [1]: what the sum of squares of the residual
-    loses by the most likely changes of all of them together.
+    (n_source,): what the data by themselves ask for, the others within what was stated, and its standard
+    error, large where they say nothing. explained [1]: what the residual's sum of squares loses by the most
+    likely changes of all.
     """
 
     likely: FloatArray
@@ -253,19 +241,14 @@ class Pulls:
 
     @property
     def factors(self) -> FloatArray:
-        """By what the uncertainty of each number grows (n_source,) [1]: to the distance of what the data ask
-        for where that is far.
-        """
+        """By what each uncertainty grows (n_source,) [1]: to the distance of what the data ask for if far."""
         return np.where(self.far, np.abs(self.asked), 1.0)
 
 
 @dataclass(frozen=True)
 class Stated:
     """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard
-    uncertainty of each.
-
-    at (n_source,) [standard uncertainties]: how far the numbers are from what was stated where the residual
-    and its changes were computed.
+    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated.
     """
 
     changes: FloatArray

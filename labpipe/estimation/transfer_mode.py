@@ -53,9 +53,7 @@ class TransferMode:
         return values
 
     def whole(self, parameters: FloatArray) -> Matrices:
-        """Matrices of an oscillator of 1 kg with the mode's frequency and damping, at *parameters* (6,)
-        [parameter units].
-        """
+        """Those of an oscillator of 1 kg with the mode's frequency and damping; *parameters* (6,) [SI]."""
         w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
         unit = np.ones((1, 1))
         return Matrices(w_n**2 * unit, 2 * zeta * w_n * unit, unit, parameters[2] * unit)
@@ -99,9 +97,7 @@ class DrivingMode(TransferMode):
         return ("N/m", "N.s/m", "kg", "m/N", "m/N")
 
     def start_of(self, values: FloatArray) -> FloatArray:
-        """From start values (6,) of a mode with a residue of any phase: its size is 1 / m. (5,) [parameter
-        units].
-        """
+        """From start values (6,) of a mode whose residue has the size 1 / m: (5,) [parameter units]."""
         w_n, mass = 2 * np.pi * values[0], 1 / max(float(np.hypot(*values[2:4])), np.finfo(float).tiny)
         return np.array([w_n**2 * mass, 2 * abs(values[1]) * w_n * mass, mass, *values[4:]])
 
@@ -132,9 +128,8 @@ def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
 def is_transfer(output: Port, force: Port) -> bool:
     """True where force and response are at different points, or across each other at one: by their dofs.
 
-    A dof that is no more than the name of a channel or column ("acc", "f") is no point: without a rig file
-    only names with a number are. Where one of the two is a point without a direction, the other is elsewhere,
-    or its dof would say so.
+    A dof that is no more than the name of a channel ("acc", "f") is no point, but with a number. Where one of
+    the two is a point without a direction, the other is elsewhere, or its dof would say so.
     """
     if not output.dof or not force.dof or output.dof == force.dof:
         return False
@@ -147,7 +142,6 @@ def is_transfer(output: Port, force: Port) -> bool:
 
 
 def _is_place(port: Port) -> bool:
-    """True for a dof that says where or along what: a direction, a name of its own, or one with a number."""
     if not port.dof:
         return False
     return (
@@ -158,7 +152,7 @@ def _is_place(port: Port) -> bool:
 
 
 def place_notes(setup: Setup) -> tuple[str, ...]:
-    """As what a single FRF between two dofs is taken, where they have different names."""
+    """As what a single FRF between two dofs of different names is taken."""
     if setup.shape != (1, 1) or not setup.settings.kind.one_frf:
         return ()
     output, force = setup.outputs[0], setup.inputs[0]
@@ -180,9 +174,8 @@ def transfer_start(measured: Measured) -> FloatArray:
     """Start values (6,) [parameter units]: least squares of (k + j w c) H - (A + j B) - (C + j D) (k - w^2 +
     j w c) = w^2 H.
 
-    The constant's products with k and c are taken from the last pass, and equations divided by its
-    denominator (Sanathanan and Koerner 1963). From the largest line where no pass gives an oscillation;
-    FitError for fewer lines than determine them.
+    Equations are divided by the denominator of the last pass (Sanathanan and Koerner 1963). From the largest
+    line where no pass gives an oscillation; FitError for fewer lines than determine them.
     """
     h, w = measured.matrix[:, 0, 0], measured.omega
     if h.size < 5:
@@ -206,10 +199,7 @@ def transfer_start(measured: Measured) -> FloatArray:
 
 
 def peak_starts(measured: Measured) -> list[FloatArray]:
-    """Start values (6,) [parameter units] at the largest peaks of |H|, with light and with more damping.
-
-    A dip of the force beside a peak may draw the least squares away.
-    """
+    """Start values (6,) [parameter units] at the largest peaks of |H|, with light and with more damping."""
     size, w = np.abs(measured.matrix[:, 0, 0]), measured.omega
     inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
     peaks = np.flatnonzero(inner) + 1

@@ -1,9 +1,8 @@
 """Weights of the lines in an output-error fit, and the effect of estimated weights.
 
-A covariance S estimated from nu complex degrees of freedom is complex Wishart, S = C W / nu. With a = nu - n
-for n outputs (several forces share or have separate estimates of the outputs' noise, so they do not count in
-n): E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald and Kraus 2000, IEE Proc.
-Radar 147:162).
+A covariance S estimated from nu complex degrees of freedom is complex Wishart, S = C W / nu. With a = nu - n,
+n outputs, any number of forces: E[S^-1] = nu / a C^-1 and E[S^-1 C S^-1] = nu^3 / (a (a^2 - 1)) C^-1 (Maiwald
+and Kraus 2000, IEE Proc. Radar 147:162).
 """
 
 from __future__ import annotations
@@ -20,20 +19,18 @@ from labpipe.estimation.leakage import LineBlocks, SharedNoise, shared_residual
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import stack
 
-# Share of the standard deviations by which a covariance may differ from such a product: rounding of its
-# making.
+# Share of the standard deviations by which a covariance may differ from such a product: rounding.
 ROUNDING = 1e-12
-# Numbers of a covariance that are looked at together: a part of the cache.
+# Numbers of a covariance that are looked at together, in the cache.
 CACHED_NUMBERS = 1 << 16
 
 
 @dataclass(frozen=True)
 class ProductWeights:
-    """W_o and W_i of every line; the FRFs H become uncorrelated as W_o H W_i^T, which is W_o (x) W_i times
-    vec(H), row-major.
+    """W_o (n_line, n_output, n_output) of the *outputs* and W_i (n_line, n_input, n_input) of the *inputs*,
+    their product [N/m]: FRFs H become uncorrelated as W_o H W_i^T.
 
-    *outputs* W_o (n_line, n_output, n_output) and *inputs* W_i (n_line, n_input, n_input); their product
-    [N/m]. Equation (est-product-weights).
+    Equation (est-product-weights).
     """
 
     outputs: ComplexArray
@@ -44,9 +41,7 @@ class ProductWeights:
         return ProductWeights(self.outputs[lines], self.inputs[lines])
 
     def whitened(self, values: ComplexArray) -> ComplexArray:
-        """FRFs (..., n_line, n_output, n_input) [m/N] without correlation and of variance 1, the same shape
-        [1].
-        """
+        """FRFs (..., n_line, n_output, n_input) [m/N] uncorrelated and of variance 1, same shape [1]."""
         white: ComplexArray = self.outputs @ values @ self.inputs.swapaxes(1, 2)
         return white
 
@@ -64,10 +59,8 @@ def correlation_factors(
     covariance: ComplexArray, deviations: FloatArray
 ) -> tuple[ComplexArray, ComplexArray] | None:
     """R_o (n_line, n_output, n_output) and R_i (n_line, n_input, n_input) [1] whose product is the
-    correlation of vec(H), row-major.
-
-    Of a *covariance* (n_line, n, n) [m^2/N^2] and the *deviations* (n_line, n_output, n_input) [m/N] on its
-    diagonal; None where it is no such product. A few lines at a time: of many FRFs the covariance is large.
+    correlation of a *covariance* (n_line, n, n) [m^2/N^2] with the *deviations* (n_line, n_output, n_input)
+    [m/N]; None where it is none. A few lines at a time: of many FRFs the covariance is large.
     """
     n_line, n_output, n_input = deviations.shape
     by_axes = covariance.reshape(n_line, n_output, n_input, n_output, n_input)
@@ -83,21 +76,14 @@ def correlation_factors(
     return outputs, inputs
 
 
-def deviation_factors(deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """s_o (n_line, n_output) [m/N] and s_i (n_line, n_input) [1] of standard deviations s_o s_i (n_line,
-    n_output, n_input) [m/N].
-    """
-    return deviations[:, :, 0], deviations[:, 0] / deviations[:, 0, :1]
-
-
 # Relative standard deviation of an FRF below which its scatter is rounding, not measured noise.
 NOISE_FREE = 1e-10
-# A covariance of normalised FRFs is rank deficient if its smallest eigenvalue is below this many roundings.
+# Roundings below which the smallest eigenvalue of a covariance of normalised FRFs is zero.
 SINGULAR_ROUNDINGS = 100
-# Standard errors by which noise of the forces may move an estimate through its weights; standard deviations
-# of a line that its noise may reach, and the part of a force.
+# Standard errors by which noise of the forces may move an estimate through its weights; how far the noise of
+# a line may reach in its deviations, and as a part of a force.
 LEAST_SHIFT, FARTHEST, MOST_MOVED = 0.05, 3.0, 0.5
-# Complex numbers that are whitened together: few enough to stay in the cache.
+# Complex numbers that are whitened together, in the cache.
 CACHED_TERMS = 1 << 16
 
 
@@ -109,10 +95,10 @@ Weights: TypeAlias = ComplexArray | ProductWeights
 class WeightUncertainty:
     """Effect of weights from an estimated covariance on a fit; all 1 and infinite for a known covariance.
 
-    excess        E[d^H S^-1 d] / E[d^H C^-1 d]: factor by which the weighted residual is too large inflation
-    true covariance of the estimates / (J^H S^-1 J)^-1, including lost efficiency and noise shared by lines
-    residual_dof  second degree of freedom of the F distribution of the reduced chi-square shared        ratio
-    of equations to degrees of freedom of the residual, since lines share noise
+    excess: E[d^H S^-1 d] / E[d^H C^-1 d], by which the weighted residual is too large. inflation: true
+    covariance of the estimates / (J^H S^-1 J)^-1, with lost efficiency and noise shared by lines.
+    residual_dof: second degree of freedom of the F distribution of the reduced chi-square. shared: ratio of
+    equations to degrees of freedom of the residual, since lines share noise.
     """
 
     excess: float = 1.0
@@ -137,9 +123,9 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
     *dof* of the fit.
 
     s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies
-    little from line to line. The inflation is exact for independent noise estimates of the lines, and
-    slightly too large when neighbouring lines have a common one. FitError for nu <= n + 1: the weighted
-    residual then has no variance, or no mean. Equation (est-weights).
+    little from line to line. The inflation is slightly too large when neighbouring lines have a common noise
+    estimate. FitError for nu <= n + 1: the weighted residual has no variance, or no mean. Equation
+    (est-weights).
     """
     nu, n = measured.noise_dof, measured.matrix.shape[1]
     if not np.isfinite(nu):
@@ -165,10 +151,9 @@ def fitted_uncertainty(
     residual of a fit.
 
     *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *uncertainty* of
-    weight_uncertainty. Where the noise of lines is correlated as only a matrix can say, that matrix *noise*
-    gives both instead of the factors *inflation* and *shared*. Estimates of the noise under an exponential
-    window are as correlated as the noise: their errors are a common factor of a resonance's weights and cost
-    no efficiency. Equation (est-ml-covariance).
+    weight_uncertainty, whose *inflation* and *shared* the matrix *noise* replaces where it is at hand.
+    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a
+    common factor of a resonance's weights and cost no efficiency. Equation (est-ml-covariance).
     """
     if noise is None:
         return uncertainty.inflation * inverse, uncertainty
@@ -196,8 +181,7 @@ def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
-    """The second degree of freedom of the F distribution with the variance of the weighted residual over all
-    lines.
+    """The second degree of freedom of the F distribution with the variance of the weighted residual.
 
     Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q
     forces, W lines with a common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2:
@@ -214,7 +198,7 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
 
 
 def has_noise(measured: Measured) -> bool:
-    """True if the FRF has a measured covariance above rounding."""
+    """Whether the FRF has a measured covariance above rounding."""
     variance = measured.variance
     return variance is not None and bool(
         np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2)
@@ -222,9 +206,7 @@ def has_noise(measured: Measured) -> bool:
 
 
 def equal_weights(measured: Measured) -> ComplexArray:
-    """Equal weights for all FRFs and lines, (n_line, n, n) [N/m], scaled by the FRF's size so that units have
-    no influence.
-    """
+    """Equal weights for all FRFs and lines, (n_line, n, n) [N/m], over the FRF's size."""
     n = measured.matrix.shape[1] * measured.matrix.shape[2]
     return np.broadcast_to(np.eye(n) / _size(measured), (measured.omega.size, n, n)).astype(np.complex128)
 
@@ -238,10 +220,9 @@ def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     n_input) [m/N] and the likeliest forces; as they are where that moves no estimate by LEAST_SHIFT.
 
     In cov = S (x) (U U^H)^-1, S = H N_u H^H + N_y, of the measured H + E and U, lines at which noise made
-    U large and H small weigh too much: H comes out low by 2 a v, v its relative variance, a the part of
-    the forces in it. With K = N_u H^H S^-1, errors dH become (1 - E K) dH (1 + K E)^-1: the first takes E
-    out of S, the second is the most likely U over the measured one. N by the channels' noise as if all
-    forces were of one size. Equation (est-model-weights).
+    U large and H small weigh too much: H is low by 2 a v, v its relative variance, a the part of the forces
+    in it. With K = N_u H^H S^-1, errors dH become (1 - E K) dH (1 + K E)^-1: the first takes E out of S, the
+    second is the likeliest U over the measured one. N as of forces of one size. Equation (est-model-weights).
     """
     variance, channels = measured.variance, measured.noise_of_channels
     if channels is None or variance is None or not has_noise(measured):
@@ -296,7 +277,8 @@ def fit_weights(measured: Measured) -> Weights:
         return short_weights(whitener(measured))
     smallest = [np.linalg.eigvalsh(factor)[:, 0] for factor in factors]
     _check_regular(measured, smallest[0] * smallest[1])
-    deviations = deviation_factors(by_port)
+    # Standard deviations are s_o [m/N] of the outputs times s_i [1] of the inputs.
+    deviations = by_port[:, :, 0], by_port[:, 0] / by_port[:, 0, :1]
     roots = (
         np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None]
         for factor, size in zip(factors, deviations, strict=True)
@@ -305,9 +287,7 @@ def fit_weights(measured: Measured) -> Weights:
 
 
 def _check_regular(measured: Measured, smallest: FloatArray) -> None:
-    """FitError where the *smallest* eigenvalues (n_line,) [1] of the correlations of the FRFs are
-    rounding.
-    """
+    """FitError where the *smallest* eigenvalues (n_line,) [1] of the FRFs' correlations are rounding."""
     n = measured.matrix[0].size
     singular = _is_singular(smallest, n)
     if np.any(singular):
@@ -358,28 +338,24 @@ def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
 
     *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
     """
+    flat, whitener = values.reshape(*values.shape[:-2], -1), short_weights(whitener)
     if isinstance(whitener, ProductWeights):
-        return np.sqrt(2.0) * stack(whitener.whitened(values).reshape(*values.shape[:-3], -1))
-    flat = values.reshape(*values.shape[:-2], -1)
-    whitener = short_weights(whitener)
-    if whitener.ndim == 2:
-        return np.sqrt(2.0) * stack((flat * whitener).reshape(*values.shape[:-3], -1))
-    white = np.matmul(
-        whitener, np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1]).swapaxes(1, 2)
-    )
-    lines = np.moveaxis(white, 2, 0).reshape(*values.shape[:-3], -1)
-    return np.sqrt(2.0) * stack(lines)
+        white = whitener.whitened(values)
+    elif whitener.ndim == 2:
+        white = flat * whitener
+    else:
+        by_line = np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1])
+        white = np.moveaxis(np.matmul(whitener, by_line.swapaxes(1, 2)), 2, 0)
+    return np.sqrt(2.0) * stack(white.reshape(*values.shape[:-3], -1))
 
 
 def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
-    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as `whitened` does, as
+    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as by `whitened`, as
     columns (n_equation, n_term).
-
-    *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n).
     """
     n_term, n_line, n = terms.shape[0], terms.shape[1], terms.shape[2] * terms.shape[3]
     by_line = terms.transpose(1, 2, 3, 0)
-    whitener = whitener if isinstance(whitener, ProductWeights) else short_weights(whitener)
+    whitener = short_weights(whitener)
     stacked_columns = np.empty((2, n_line, n, n_term))
     n_chunk = max(16, CACHED_TERMS // (n * n_term))
     for start in range(0, n_line, n_chunk):
@@ -391,9 +367,7 @@ def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
 
 
 def white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> ComplexArray:
-    """Terms (n_line, n_output, n_input, n_term) [m/N] of some *lines* of which *whitener* has all, whitened,
-    (n_line, n, n_term).
-    """
+    """Terms (n_line, n_output, n_input, n_term) [m/N] of some *lines* of a whitener, (n_line, n, n_term)."""
     if isinstance(whitener, ProductWeights):
         return whitener.at(lines).whitened_columns(by_line)
     columns = by_line.reshape(by_line.shape[0], -1, by_line.shape[3])
@@ -413,12 +387,11 @@ def weights_at(weights: Weights, lines: slice) -> Weights:
     return weights.at(lines) if isinstance(weights, ProductWeights) else weights[lines]
 
 
-def short_weights(whitener: ComplexArray) -> ComplexArray:
-    """Weights (n_line, n, n) [N/m] as their diagonals (n_line, n) where all else is zero: FRFs with
-    independent noise.
-    """
-    if whitener.ndim == 2:
+def short_weights(whitener: Weights) -> Weights:
+    """Weights (n_line, n, n) [N/m] as diagonals (n_line, n) where all else is zero: independent noise."""
+    if is_short(whitener):
         return whitener
+    assert isinstance(whitener, np.ndarray)
     diagonal: ComplexArray = np.einsum("lnn->ln", whitener)
     return diagonal if np.count_nonzero(whitener) == np.count_nonzero(diagonal) else whitener
 

@@ -69,7 +69,7 @@ def test_peaks_fit_each_diagonal_term_in_its_own_bands(two_directions) -> None:
 def test_errors_name_the_term(two_directions) -> None:
     with pytest.raises(ConfigError, match=r"term bx: no (force|response)"):
         identify(two_directions, FitSettings("sdof", peaks=(("bx", ((60.0, 85.0),)),)))
-    with pytest.raises(FitError, match="term z: no frequency line"):
+    with pytest.raises(FitError, match="term z: band 1-2 Hz: no frequency line"):
         identify(two_directions, FitSettings("sdof", peaks=(("z", ((1.0, 2.0),)),)))
 
 

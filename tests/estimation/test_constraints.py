@@ -13,11 +13,13 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.damping import HYSTERETIC, PROPORTIONAL, FactorModel, damp
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.model import Setup
-from labpipe.estimation.settings import MODELS, FitSettings
+from labpipe.estimation.settings import MODELS, FitSettings, Support
 from labpipe.records.identification import Fit
+from labpipe.records.uncertain import Uncertain
 from tests.estimation.conftest import DAMPING, MASS
 
 KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
+PEDESTAL = FitSettings("sdof", band=(67.0, 70.0))
 RAYLEIGH = replace(KNOWN, damping="proportional")
 OMEGA = np.array([0.3, 1.1, 2.2])
 
@@ -175,3 +177,53 @@ def test_comparison_shows_whether_cross_terms_are_needed(coupled_response) -> No
 def test_without_noise_nothing_is_compared(coupled_response) -> None:
     (fit,) = identify(coupled_response(), FitSettings("rotor-2dof", mass=0.92, compare=True))
     assert fit.candidates == ()
+
+
+def test_a_mass_among_the_given_coefficients_gives_the_resonance(sdof_response) -> None:
+    """sqrt(k / m) / 2 pi and c / 2 sqrt(k m) of the pedestal; of two given numbers f_n is no result."""
+    f_n = np.sqrt(134.5e3 / 0.79) / (2 * np.pi)
+    (fit,) = identify(sdof_response(), FitSettings("sdof", fixed=(("m", 0.79),)))
+    assert fit.parameter("f_n").value == pytest.approx(f_n, rel=1e-9)
+    (fit,) = identify(sdof_response(), FitSettings("sdof", mass=0.79, fixed=(("k", 134.5e3),)))
+    assert fit.parameter("zeta").value == pytest.approx(3.682 / (2 * np.sqrt(134.5e3 * 0.79)), rel=1e-9)
+    assert "f_n" not in {parameter.name for parameter in fit.parameters}
+
+
+def test_a_fixed_mass_is_taken_for_granted_like_a_given_one(sdof_response) -> None:
+    """Beside the resonance, at 65.7 Hz, the band need not hold it; and nothing is left to attach to."""
+    given = replace(PEDESTAL, mass=0.79), replace(PEDESTAL, fixed=(("m", 0.79),))
+    fits = [identify(sdof_response(1e-9, np.random.default_rng(1)), settings)[0] for settings in given]
+    assert fits[0].not_stated == fits[1].not_stated
+    assert [fit.findings for fit in fits] == [(), ()]
+
+
+SUPPORTED = {"subtract": Support(Uncertain(10e3), Uncertain(4.0)), "share": 2}
+
+
+def test_given_coefficients_are_those_of_one_bearing_like_all_others(coupled_response) -> None:
+    """(180 - 10) / 2 and 25 / 2 kN/m of the coupled support, whether they are given or fitted."""
+    given = (("k_xx", 180e3), ("k_xy", 25e3))
+    (fit,) = identify(coupled_response(), FitSettings("rotor-2dof", mass=0.92, fixed=given, **SUPPORTED))
+    found = {parameter.name: parameter for parameter in fit.parameters}
+    assert (found["k_xx"].value, found["k_xx_total"].value) == (85e3, 180e3)
+    assert (found["k_xy"].value, found["k_xy_total"].value) == (12.5e3, 25e3)
+    assert found["k_xx"].std_error is None and found["k_yy"].value == pytest.approx(100e3, rel=1e-6)
+
+
+def test_the_support_is_no_part_of_a_cross_term_tied_to_a_direct_one(coupled_response) -> None:
+    tied = (("k_xx", "k_xy"), ("k_xx", "k_yy"))
+    (fit,) = identify(coupled_response(), FitSettings("rotor-2dof", mass=0.92, tied=tied, **SUPPORTED))
+    whole = fit.parameter("k_xx_total").value
+    # Both groups have the one value, and all of their coefficients are in the result.
+    assert [fit.parameter(f"k_{place}_total").value for place in ("xy", "yy")] == [whole, whole]
+    assert fit.parameter("k_yy").value == fit.parameter("k_xx").value == (whole - 10e3) / 2
+    assert fit.parameter("k_xy").value == whole / 2
+
+
+def test_proportional_damping_is_that_of_one_bearing(three_dof_response) -> None:
+    """C = 0.05 M + 0.1 K: (c_1_1 - 4) / 2 and c_1_2 / 2 of (0.05 * 1 + 0.1 * 2) and -0.1 N.s/m."""
+    response = three_dof_response(damping=0.05 * MASS + DAMPING)
+    (fit,) = identify(response, replace(RAYLEIGH, **SUPPORTED))
+    assert fit.parameter("c_1_1").value == pytest.approx((0.25 - 4.0) / 2, rel=1e-6)
+    assert fit.parameter("c_1_2").value == pytest.approx(-0.05, rel=1e-6)
+    assert fit.parameter("c_1_1_total").value == pytest.approx(0.25, rel=1e-6)

@@ -82,3 +82,12 @@ def test_a_driving_point_without_an_oscillator_is_fitted_beside_a_constant() -> 
 def test_residual_terms_are_of_a_mode_by_its_coefficients_alone(keys: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="residuals"):
         FitSettings("sdof", residuals=True, **keys)
+
+
+def test_the_compared_model_is_that_of_the_fit() -> None:
+    """Five parameters with the constant, not the three of a mode alone."""
+    h = mode(*MODE) + 3e-9 - 1e-9j
+    (fit,) = identify(response(h, 1e-3), FitSettings("sdof", residuals=True, compare=True))
+    (this,) = (model for model in fit.candidates if model.name.startswith("this model"))
+    assert this.name == "this model: sdof, mass estimated, residual term"
+    assert (this.parameters, this.dof) == (5, fit.dof)

@@ -198,3 +198,13 @@ def test_frfs_met_to_the_last_digit_tell_the_mass_for_certain() -> None:
     """No scatter at all: masses within the tolerance of 1 % are right, others wrong."""
     for mass, p_value in ((1.005, 1.0), (1.02, 0.0)):
         assert _p_value(_FreeFit(np.array([5.0, mass]), np.zeros((2, 2)), 100.0), np.array([1.0])) == p_value
+
+
+@pytest.mark.parametrize("estimator", ["ls", "ml"])
+def test_a_single_line_tells_no_delay_and_no_free_mass(sdof_response, estimator: str) -> None:
+    """Two equations for k alone leave one to judge it by, and none beside a second unknown."""
+    line = sdof_response(1e-9, np.random.default_rng(1))
+    line = replace(line, frequency=line.frequency[:1], matrix=line.matrix[:1], covariance=line.covariance[:1])
+    settings = FitSettings("sdof", mass=0.79, fixed=(("c", 300.0),), estimator=estimator)
+    (fit,) = identify(line, settings)
+    assert fit.lines == 1 and not {"delay", "mass"} & {finding.code for finding in fit.findings}

@@ -87,6 +87,7 @@ def test_correlated_estimates_are_held_against_their_joint_uncertainty() -> None
         ({"quiet": {"level": "20 N"}, "loud": {"level": "20 N"}}, []),
         ({"quiet": {"level": "low"}, "loud": {"level": "high"}}, []),
         ({"quiet": {"amplitude": "10 um"}, "loud": {"amplitude": "30 um"}}, ["loud"]),
+        ({"quiet": {"level": "5 N"}, "loud": {"level": "30 um"}}, []),
         ({}, []),
     ],
 )
@@ -97,6 +98,15 @@ def test_only_the_level_may_differ(conditions: dict[str, dict[str, str]], said: 
 def test_other_bands_and_terms_are_not_compared() -> None:
     assert named([fit("quiet"), fit("loud", 1.05 * K, band_hz=(20.0, 60.0))]) == []
     assert named([fit("quiet", term="x"), fit("loud", 1.05 * K, term="y")]) == []
+
+
+def test_a_level_that_is_no_number_hides_no_other() -> None:
+    """Of 20 N, "full" and 5 N the two numbers are compared, in whatever order the tests stand."""
+    conditions = {"quiet": {"level": "5 N"}, "most": {"level": "full"}, "loud": {"level": "20 N"}}
+    tests = [fit("loud", 1.05 * K), fit("most", 1.1 * K), fit("quiet")]
+    assert [named([tests[n] for n in order], conditions) for order in ((0, 1, 2), (1, 0, 2), (2, 1, 0))] == [
+        ["loud"]
+    ] * 3
 
 
 def test_without_standard_errors_there_is_nothing_to_compare() -> None:

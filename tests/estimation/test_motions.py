@@ -49,3 +49,11 @@ def test_few_lines_of_noise_are_no_motion_either(symmetric_response) -> None:
     values, count = independent_motions(measured(few))
     np.testing.assert_allclose(values, values[0])
     assert 1 < values[0] < 4 and count == 0
+
+
+@pytest.mark.filterwarnings("error")
+def test_without_the_noise_of_a_response_nothing_is_said_of_motions(symmetric_response, rng) -> None:
+    alike = measured(symmetric_response(1e-8, rng))
+    covariance = np.array(alike.covariance)
+    covariance[:, 1, 1] = 0.0
+    assert motion_notes(replace(alike, covariance=covariance)) == ()

@@ -49,6 +49,8 @@ def test_sources_add_in_squares_and_share_their_degrees_of_freedom(uncertainties
     assert fit.budget.dof[column] == pytest.approx(dof)
     assert k.ci95[1] - k.value == pytest.approx(k.expanded, rel=1e-6)
     assert [part.source for part in k.budget][:2] == ["remounting (mounting 3)", "drift (a)"]
+    # The parts of the interval are those of the interval that is stated.
+    assert (k.interval.systematic, k.interval.noise) == (k.systematic, was.std_error)
     c = fit.parameter("c")
     assert (c.systematic or 0.0) == pytest.approx(before.parameter("c").systematic or 0.0)
 

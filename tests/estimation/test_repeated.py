@@ -14,12 +14,13 @@ import pytest
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
+from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.repeated import _statement, _Values
 from labpipe.estimation.repeats import RepeatMean
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
-from labpipe.records.finding import Parameter, Repeats
+from labpipe.records.finding import Finding, Parameter, Repeats
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 
@@ -240,8 +241,43 @@ def test_repeats_are_written_and_read(tmp_path: Path) -> None:
 
 def test_an_interval_reaches_as_far_as_numbers_do() -> None:
     """A logarithm known to 2.4 +- 800: exp(710) is no number any more, and nothing is said of it."""
-    mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0), np.zeros(2))
+    mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0))
     damping = Parameter("c", 11.0, "N.s/m", std_error=0.1, ci95=(10.8, 11.2))
     of = _Values(np.log([10.0, 12.0]), np.full(2, 1e-4), log=True)
     found = _statement(damping, mean, of, None, 1, Repeats(2, 2, 0.1, ()))
     assert found.ci95 is not None and found.ci95[1] == np.inf
+
+
+def test_recordings_of_one_name_are_repeats_as_others_are() -> None:
+    """r.csv of three folders: the mean does not ask for names."""
+    response = repeated(6, 1)
+    alike = fitted(replace(response, repeat_names=("r",) * 6))
+    assert alike.parameter("f_n") == fitted(response).parameter("f_n")
+
+
+@pytest.mark.parametrize("estimator", ["ls", "iv", "amplitude"])
+def test_recordings_are_weighted_by_the_noise_of_all(estimator: str) -> None:
+    fit = fitted(repeated(6, 1), estimator=estimator, weight="noise")
+    assert fit.parameter("f_n").repeats.used == 6
+    assert not [finding for finding in fit.findings if finding.code == "repeat-left-out"]
+
+
+@pytest.mark.parametrize("key", ["bootstrap", "monte_carlo"])
+def test_draws_of_one_fit_are_none_of_repeats(key: str) -> None:
+    with pytest.raises(SettingError, match=f"'{key}' draws the noise of one fit"):
+        fitted(repeated(3, 1), **{key: 200})
+
+
+def test_groups_without_a_recording_are_not_listed() -> None:
+    fit = fitted(repeated(6, 1), repeat_groups=("hit-[123]", "hit-[456]", "tue-*"))
+    assert any("in the groups hit-[123], hit-[456], the mean" in text for text in fit.notes)
+
+
+@pytest.mark.parametrize("keys", [{}, {"repeat_groups": ("hit-[123]", "hit-[456]")}])
+def test_a_chosen_peak_is_the_mean_of_repeats_like_a_band(keys: dict[str, object]) -> None:
+    """The same fit by other keys; what the FRF says of itself is said once."""
+    looped = replace(repeated(6, 1), findings=(Finding("feedback", "fed back"),))
+    (peak,) = identify(looped, FitSettings("sdof", peaks=(("x", ((90.0, 110.0),)),), **keys))  # type: ignore[arg-type]
+    band = fitted(looped, band=(90.0, 110.0), **keys)
+    assert (peak.term, peak.parameters, peak.notes) == ("x", band.parameters, band.notes)
+    assert [finding.code for finding in peak.findings].count("feedback") == 1

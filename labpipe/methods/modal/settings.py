@@ -72,7 +72,6 @@ MODAL = ModelKind(
     "modal: {order: 60}",
     optional=True,
     of_repeat=_of_repeat,
-    times_mass=True,
     own_damping=True,
     any_input=True,
     keys=("mass", "input", "output", "damping", "repeats", "repeat_groups"),

@@ -58,7 +58,6 @@ DECAY = ModelKind(
     "decay: {modes: 1}",
     optional=True,
     of=DECAYS,
-    times_mass=True,
     keys=("mass", "output", "repeats", "repeat_groups"),
     estimators=("ml",),
 )
