@@ -50,7 +50,7 @@ def test_a_shipped_rig_is_read_into_the_class_of_its_kind(path: Path) -> None:
     [
         ("three-dof", "mass=[1 kg, 2 kg, []]", "mass does not fit 3 dofs"),
         ("virtual-hmb", "pedestal_mass=0 kg", "pedestal_mass must be positive"),
-        ("virtual-hmb", "levitation.bearings=0", "one bearing or more"),
+        ("virtual-hmb", "levitation.bearings=0", "bearings must be positive"),
         ("virtual-hmb", "levitation.corner=0 Hz", "corner must be positive"),
         ("virtual-hmb", "actuator_gain=0 N/V", "actuator_gain must be positive"),
         ("virtual-hmb", "pedestal_damping=-1 N.s/m", "pedestal_damping must not be negative"),
