@@ -95,6 +95,17 @@ def measured_header(
     return Header(kind, parameters, inputs=tuple(recording.source_ref() for recording in recordings))
 
 
+def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
+    """DataError for files of the same bytes in the same channels: they are one recording, no repeats."""
+    seen: dict[Any, str] = {}
+    for recording, ref in zip(recordings, header.inputs, strict=True):
+        files = recording.header.inputs if isinstance(recording, StoredRecording) else (ref,)
+        path = files[0].path if files else ref.path
+        first = seen.setdefault((*(file.sha256 for file in files), recording.channels), path)
+        if first != path:
+            raise DataError(f"holds the same bytes as '{Path(first).name}'", path, "a recording counts once")
+
+
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
     """The raw files behind recordings, for messages."""
     return ", ".join(
@@ -202,7 +213,9 @@ def measure_test(
         raise DataError(what, where_recorded(recordings), ALIKE) from error
     if isinstance(result, FrequencyResponse):
         result = result.with_findings(seen())
-    kind.write(output.write_path(name), result, header())
+    made = header()
+    _check_copies(recordings, made)
+    kind.write(output.write_path(name), result, made)
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from scipy import signal
 
 import labpipe
+from labpipe.cli.main import run_command
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.records.identification import Fit
@@ -115,3 +117,18 @@ def test_another_word_is_refused_at_its_line(tmp_path: Path) -> None:
     (tmp_path / "r1.csv").write_text("f,y\n1,2\n")
     with pytest.raises(ConfigError, match=r"p\.yaml:3:.*unknown 'some'"):
         load_pipeline(tmp_path / "p.yaml")
+
+
+def test_a_copy_of_a_recording_is_no_repeat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It would halve the variance of what it says, as twice the same file would; also stage by stage."""
+    identified(tmp_path, runs=dict(list(RUNS.items())[:2]))
+    (tmp_path / "r0 (copy).csv").write_bytes((tmp_path / "r0.csv").read_bytes())
+    copied = "r0.csv: holds the same bytes as 'r0 (copy).csv'"
+    with pytest.raises(LabpipeError, match=re.escape(copied)):
+        labpipe.run(tmp_path / "p.yaml", tmp_path / "out")
+    files = [str(tmp_path / f"r0{name}.csv") for name in ("", " (copy)")]
+    staged = str(tmp_path / "staged")
+    assert run_command(["ingest", *files, "--rig", str(tmp_path / "rig.yaml"), "-o", staged]) == 0
+    stored = [str(path) for path in sorted((tmp_path / "staged").rglob("*.recording.parquet"))]
+    assert run_command(["frf", *stored, "-c", str(tmp_path / "p.yaml"), "-o", staged]) == 2
+    assert copied in capsys.readouterr().err
