@@ -257,24 +257,27 @@ class DelayedModel:
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
-def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) -> list[Finding]:
-    """A finding where a delay of one channel explains a residual that is far from noise; *values*
+def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) -> dict[str, Finding]:
+    """The channel whose delay explains a residual that is far from noise, with the finding; *values*
     (n_parameter,) [parameter units] of the fit.
 
     Of each response, with several also of each force, the delay is fitted beside all parameters, from the
     best of a grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
     """
     if not has_noise(measured):
-        return []
+        return {}
     channels = _late_channels(measured)
     try:
         grids = [(*_best_of_grid(measured, model, values, late), name) for name, late in channels]
     except (FitError, np.linalg.LinAlgError):
-        return []
+        return {}
     grids.sort(key=lambda grid: grid[0])
-    tried = [_delay(measured, model, *grid[1:]) for grid in grids[:LIKELIEST]]
-    explained = [fitted for fitted in tried if fitted is not None]
-    return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
+    tried = {grid[-1]: _delay(measured, model, *grid[1:]) for grid in grids[:LIKELIEST]}
+    explained = [(fitted, name) for name, fitted in tried.items() if fitted is not None]
+    if not explained:
+        return {}
+    (_, finding), name = min(explained, key=lambda entry: entry[0][0])
+    return {name: finding}
 
 
 def _best_of_grid(

@@ -286,6 +286,7 @@ def _fit_band(
         else ((), ())
     )
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
+    late = _late_channel(case) if judging else {}
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -293,7 +294,8 @@ def _fit_band(
             *judgement.findings,
             *diagnostics.goodness_findings(estimate.gof),
             *leakage,
-            *(_mass_findings(case, judged) if judging else ()),
+            *judged.findings,
+            *(late.values() or (_mass_findings(case, judged) if judging else ())),
             *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
             *budgeted.findings,
             *comparison_findings(compared_models),
@@ -303,7 +305,23 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(fit, fitted, model, estimate.values)
+    return _BandFit(_with_cause(fit, judgement, *late), fitted, model, estimate.values)
+
+
+def _with_cause(fit: Fit, judgement: Judgement, late: str = "") -> Fit:
+    """The fit whose model error is the delay of the channel that is *late*, which explains the residual."""
+    error = judgement.model_error
+    if not late or error is None:
+        return fit
+    is_delay = f"delay of {late}"
+    return replace(
+        fit,
+        parameters=tuple(replace(p, reason=is_delay) if p.reason else p for p in fit.parameters),
+        findings=tuple(
+            replace(f, message=f.message.replace(f"likely {error.reason}", f"likely a {is_delay}"))
+            for f in fit.findings
+        ),
+    )
 
 
 def _with_budget(
@@ -443,22 +461,29 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
-    """Stated numbers against the data, and a mass without uncertainty against a free one: of models linear in
-    their parameters and responses of reliable phase to a force.
+def _asks(case: Case) -> DynamicModel | None:
+    """The model where a delay or another mass is asked for: one linear in its parameters, responses of
+    reliable phase to a force, a mass without uncertainty.
     """
-    model, setup, values = case.model, case.setup, case.estimate.values
-    of_base, has_error = setup.settings.kind.of_base, mass_uncertainty(setup.settings) is not None
-    if not isinstance(model, DynamicModel) or of_base or has_error:
-        return list(judged.findings)
-    if not setup.settings.estimates.phase or not case.estimate.converged:
+    settings, model = case.setup.settings, case.model
+    has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
+    is_sound = settings.estimates.phase and case.estimate.converged and not has_error
+    return model if is_sound and isinstance(model, DynamicModel) else None
+
+
+def _late_channel(case: Case) -> dict[str, Finding]:
+    """The channel whose delay explains the residual, with the finding."""
+    model, chance = _asks(case), case.estimate.gof.chi2_p
+    if model is None or chance is None or chance >= diagnostics.MISMATCH_P:
+        return {}
+    return causes.delay_findings(case.measured, model, case.estimate.values)
+
+
+def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
+    """A mass without uncertainty against a free one; a channel that is late makes any mass look wrong."""
+    if (model := _asks(case)) is None:
         return []
-    chance = case.estimate.gof.chi2_p
-    # A channel that is late makes any mass look wrong.
-    is_off = chance is not None and chance < diagnostics.MISMATCH_P
-    late = causes.delay_findings(case.measured, model, values) if is_off else []
-    of_mass = late or causes.mass_findings(case.measured, model, values, setup, judged.stated)
-    return [*judged.findings, *of_mass]
+    return causes.mass_findings(case.measured, model, case.estimate.values, case.setup, judged.stated)
 
 
 def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:

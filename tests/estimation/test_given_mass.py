@@ -143,6 +143,19 @@ def test_a_late_channel_of_a_matrix_is_named(coupled_response) -> None:
     assert float(after) == pytest.approx(1, abs=0.2) and float(before) > 100
 
 
+def test_a_delay_that_explains_the_residual_is_the_cause_that_is_named(sdof_response) -> None:
+    """0.3 ms between 60 and 70 Hz: beside each interval stood a gain curve or a stiffness law, and the delay
+    only further below.
+    """
+    response = sdof_response(2e-8, np.random.default_rng(1))
+    late = response.matrix * np.exp(-2j * np.pi * response.frequency * 3e-4)[:, None, None]
+    (fit,) = identify(replace(response, matrix=late), FitSettings("sdof"))
+    (delay,), (mismatch,) = findings(fit, "delay"), findings(fit, "model-mismatch")
+    name = delay.message.partition(" is late")[0]
+    assert {parameter.reason for parameter in fit.parameters} == {f"delay of {name}"}
+    assert f"; most likely a delay of {name}. " in mismatch.message
+
+
 def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
     """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a
     contradiction too.
