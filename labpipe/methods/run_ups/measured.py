@@ -11,7 +11,7 @@ the stated noise, together with what two points fewer and the uncertainties of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.rotor import largest_displacement
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import to_display
+from labpipe.records.recording import Channel
 from labpipe.records.uncertain import COURSES, Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.orders import OrderTrack
@@ -193,20 +194,21 @@ SAME_SPEED = 1e-3
 
 
 def run_up_of(
-    track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()
+    track: OrderTrack, channels: Iterable[Channel], name: str, load: float, unbalance: Mapping[str, complex]
 ) -> records.RunUp:
-    """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for
-    the phase. x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of
-    the track's planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped
-    run). DataError without a plane, or where the speed does not change.
+    """The run-up of a tracked order of *channels*; standard errors sqrt(variance / 2) of the amplitude,
+    divided by |X| for the phase. x and y are those of the rig file; x must point along the load. Segments
+    whose speeds agree to SAME_SPEED are averaged to one point (stepped run). DataError without a plane, for a
+    plane of other than displacements, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
         raise DataError(f"recording '{name}' has no plane with two responses in known directions", hint=hint)
-    names = planes or tuple(plane.name for plane in track.planes)
-    if len(names) != len(track.planes):
-        what = f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named"
-        raise DataError(what, hint=", ".join(names))
+    in_planes = {track.ports[column].channel for plane in track.planes for column in plane.columns}
+    for channel in channels:
+        if channel.name in in_planes and channel.quantity != "displacement":
+            what = f"channel '{channel.name}' of recording '{name}' reads {channel.quantity}"
+            raise DataError(what, hint="a run-up is of displacements: leave its direction out")
     response, deviation = _in_planes(track)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
@@ -217,7 +219,7 @@ def run_up_of(
         name,
         load,
         speed,
-        names,
+        tuple(plane.name for plane in track.planes),
         response,
         amplitude_error=deviation,
         phase_error=deviation / size,

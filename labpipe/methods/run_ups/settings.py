@@ -52,13 +52,13 @@ class ProbeUncertainties:
                         )
                     )
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
-            errors.extend(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
+            errors.append(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
         return tuple(errors)
 
 
-def turning(uncertainty: Uncertainty, n_plane: int) -> tuple[ProbeError, ...]:
-    """The error of the keyphasor's angle, which turns all phasors alike."""
-    return (ProbeError(uncertainty, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
+def turning(uncertainty: Uncertainty, n_plane: int, slope: complex = 1j, power: int = 0) -> ProbeError:
+    """The error of the keyphasor, which turns all phasors alike."""
+    return ProbeError(uncertainty, np.tile(slope * np.eye(2), (n_plane, 1, 1)), power)
 
 
 # From rotor, trained runs and settings to a Solved: labpipe.methods.run_ups.methods.

@@ -143,7 +143,8 @@ def test_a_recording_has_the_uncertainties_of_its_rig_file(runs: tuple[RunUp, ..
         )
 
     runs = [
-        run_up_of(track(*errors), "a", 1.0, {"": 1e-5 + 0j}) for errors in ((0, 0), (-size, 0), (0, -2e-5))
+        run_up_of(track(*errors), (), "a", 1.0, {"": 1e-5 + 0j})
+        for errors in ((0, 0), (-size, 0), (0, -2e-5))
     ]
     changes = runs[0].changes()
     for source, run in zip(("a.dof", "a.delay"), runs[1:], strict=True):
