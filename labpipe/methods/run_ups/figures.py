@@ -359,7 +359,7 @@ def convergence_figure(method: records.RunUpMethod, search: records.Convergence)
         ),
         _factors((chart.dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
-    end = "ended by the limit on evaluations" if search.capped else "ended at the smallest mesh"
+    end = "ended by the limit on evaluations" if search.capped else "ended at its tolerance"
     caption = (
         f"{method.title}: convergence at {search.where}; {int(sum(search.evaluations))} evaluations, {end}. "
         "A small objective does not mean that the factors are right."

@@ -24,7 +24,7 @@ from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, sources_of
-from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.records import OUTSIDE, RunUp
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
 MOST_SEARCHES = 25
@@ -197,7 +197,7 @@ class RunUpFit(Posterior[Family]):
         low, high = min(self.loads), max(self.loads)
         if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
             return ""
-        return f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): "
+        return f"{load:.3g} N lies {OUTSIDE} of the fit ({low:.3g} to {high:.3g} N): "
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,9 +48,10 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
         raise DataError(f"no plane '{plane}' in run '{run.name}'", hint=nearest(plane, run.planes))
     number = run.planes.index(plane) if plane else len(run.planes) - 1
     top = _top(run, number)
-    chosen, rng = _about(run, top, POINTS), np.random.default_rng(SEED)
+    size = min(POINTS, run.n_speed)
+    chosen, rng = _about(run, top, size), np.random.default_rng(SEED)
     wide = _peak(run, number, chosen, run.response)
-    narrow = _peak(run, number, _about(run, top, POINTS - 2), run.response)
+    narrow = _peak(run, number, _about(run, top, size - 2), run.response)
     again = [_peak(run, number, chosen, _noisy(run, rng)) for _ in range(REFITS)]
     of_probes = [
         _peak(run, number, chosen, run.response + change) - wide for change in run.changes().values()
@@ -69,7 +70,6 @@ def _top(run: records.RunUp, number: int) -> int:
 
 
 def _about(run: records.RunUp, top: int, size: int) -> slice:
-    size = min(size, run.n_speed)
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)
 

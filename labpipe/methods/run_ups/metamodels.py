@@ -28,7 +28,7 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups import metamodel_kinds
 from labpipe.methods.run_ups.joint import LOAD_SLACK
 from labpipe.methods.run_ups.measured import column
-from labpipe.methods.run_ups.records import LeftOut
+from labpipe.methods.run_ups.records import OUTSIDE, LeftOut
 from labpipe.methods.run_ups.rotor import TabulatedCoefficients, coefficient_errors
 from labpipe.registry import nearest
 
@@ -340,9 +340,15 @@ def caution(model: Metamodel, load: float) -> str:
         else "its error does not cover extrapolation"
     )
     return (
-        f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), an "
+        f"{load:.3g} N lies {OUTSIDE} of this metamodel ({low:.3g} to {high:.3g} N), an "
         f"extrapolation: {scope}"
     )
+
+
+def _without(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) -> Metamodel:
+    if len(grid.loads) < 2:
+        raise FitError(metamodel_kinds.NO_OTHER_LOAD)
+    return fit_metamodel(kind, grid.at(load, others=True), seed)
 
 
 def leave_one_load_out(
@@ -359,11 +365,10 @@ def leave_one_load_out(
         kind: [] for kind in (*kinds, *([metamodel_kinds.PhysicalFit.kind] if physical else []))
     }
     for load in grid.loads:
-        training = grid.without(load) if len(grid.loads) > 1 else grid
-        fits = {kind: partial(fit_metamodel, kind, training, seed) for kind in kinds}
+        fits = {kind: partial(_without, grid, load, kind, seed) for kind in kinds}
         if physical is not None:
             fits[metamodel_kinds.PhysicalFit.kind] = partial(physical, load)
-        outside, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
+        outside, points = load in (grid.loads[0], grid.loads[-1]), grid.at(load)
         for kind, fitted in fits.items():
             errors, failed = np.full(8, np.nan), ""
             try:

@@ -138,6 +138,8 @@ class RunUp:
 TRAINED, HELD_OUT = "trained", "held-out"
 # Verdict of a method whose family chi-square rejects: its speeds are values without an interval.
 REJECTED = "rejected"
+# Words of the notes on an extrapolated load.
+OUTSIDE = "outside the loads"
 # Name of the model without a fit: the rotor file's bearing.
 START = "start"
 # Two-sided 95 % of a normal distribution.

@@ -235,7 +235,8 @@ def parameter_table(method: records.RunUpMethod) -> Table:
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
         value, error, *ends = written(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
-        rows.append((parameter.name, kind, value, error or "none", " to ".join(ends) or "at bound"))
+        interval = " to ".join(ends) or ("at bound" if parameter.at_bound else "none")
+        rows.append((parameter.name, kind, value, error or "none", interval))
     caption = (
         f"{method.title}: posterior values with their standard deviations, as factors on the rotor "
         "file's bearing"
@@ -363,7 +364,7 @@ def _cautions(result: records.RunUpResult) -> tuple[Block, ...]:
     return tuple(
         Paragraph(
             f"{text} ({', '.join(runs)}).",
-            "warning" if held_out & set(runs) and "outside the loads" in text else "note",
+            "warning" if held_out & set(runs) and records.OUTSIDE in text else "note",
         )
         for text, runs in notes.items()
     )

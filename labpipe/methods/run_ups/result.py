@@ -234,7 +234,9 @@ def _uncertainties(method: records.RunUpMethod, runs: Sequence[records.MeasuredR
         findings.append(Finding("at-bound", message))
     jointly = method.verdict in ("rejected", "not rejected")
     for run in runs if jointly else ():
-        notes = getattr(method.prediction(run.name), "notes", ())
+        notes = [
+            note for note in getattr(method.prediction(run.name), "notes", ()) if records.OUTSIDE in note
+        ]
         if run.role == records.HELD_OUT and notes:
             findings.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(notes)}."))
     return findings

@@ -12,7 +12,7 @@ from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import ReadRun
 from labpipe.methods.run_ups.methods import _joint_at, excited_as, joint_method, predict
 from labpipe.methods.run_ups.process import fit_with_process
-from labpipe.methods.run_ups.records import RunUp, RunUpMethod
+from labpipe.methods.run_ups.records import HELD_OUT, MeasuredRun, RunPrediction, RunUp, RunUpMethod
 from labpipe.methods.run_ups.report import speed_blocks
 from labpipe.methods.run_ups.result import _uncertainties, run_up_result
 from labpipe.methods.run_ups.section import run_up_lines
@@ -141,3 +141,12 @@ def test_what_a_method_cannot_state_is_a_finding(change: dict[str, object], code
     for finding in findings:
         assert said[change.get("verdict", "")] in finding.message
         assert finding.message.startswith("Point by point: ")
+
+
+def test_only_a_load_beyond_the_fit_is_extrapolated() -> None:
+    """A held-out run within the loads, whose note is on its threshold."""
+    run = MeasuredRun("held", 5.0, HELD_OUT, excitation="", speed=(), motions=())
+    for note, codes in (("no threshold below 6 Hz", []), ("9 N lies outside the loads", ["extrapolated"])):
+        prediction = RunPrediction("held", None, None, notes=(note,))
+        method = RunUpMethod("joint", "(c)", "not rejected", predictions=(prediction,))
+        assert [finding.code for finding in _uncertainties(method, [run])] == codes
