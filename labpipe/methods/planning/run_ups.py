@@ -41,6 +41,7 @@ from labpipe.methods.run_ups.rotor import (
     largest_displacement,
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
+from labpipe.project.measured import file_stem
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
@@ -152,9 +153,8 @@ class RunUpPlanSettings(Settings):
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
                     raise SettingError(field, what, nearest(name, PARAMETERS))
-        stems = [name.replace(" ", "-") for name, _ in self.trials]
-        if len(set(stems)) < len(stems):
-            raise SettingError("trials", "two trials differ by blanks alone", "their names name files")
+        if len({file_stem(name) for name, _ in self.trials}) < len(self.trials):
+            raise SettingError("trials", "two trials would write the same files", "rename one")
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -242,7 +242,7 @@ class RunUpChoice:
             for name, trial in settings.trials:
                 shaker = Shaker(trial.shaker, trial.force, 0.0, trial.ratio) if trial.shaker else None
                 for number, speed in enumerate(stretches, 1):
-                    stem = f"load-{place}-{name.replace(' ', '-')}"
+                    stem = f"load-{place}-{file_stem(name)}"
                     stem += f"-{number}" if settings.stretches > 1 else ""
                     candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), shaker)
                     yield candidate

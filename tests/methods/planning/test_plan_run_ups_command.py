@@ -88,6 +88,17 @@ def _read(run: RunUp, rng: np.random.Generator) -> RunUp:
     return replace(run, response=noisy, threshold=threshold)
 
 
+def test_names_of_trials_are_names_of_files() -> None:
+    """No name leads out of the folder, and no two name one file."""
+    rig, trial = load_run_up_rotor(ROTOR), TrialSettings(unbalance=(("disc 1", 1e-5 + 0j),))
+    entries = {"loads": (5.0,), "speeds": (10.0, 50.0), "step": 5.0, "dwell": 10.0, "duration": 600.0}
+    settings = RunUpPlanSettings("run-ups", "r", trials=(("../a/b", trial),), rig=rig, **entries)
+    names = {candidate.name for candidate in RunUpChoice(settings, expected_rig(settings, {}))._all()}
+    assert names == {f"load-1-..-a-b-{number}" for number in (1, 2, 3)}
+    with pytest.raises(ConfigError, match="two trials would write the same files"):
+        RunUpPlanSettings("run-ups", "r", trials=(("a/b", trial), ("a b", trial)), rig=rig, **entries)
+
+
 def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     folder = tmp_path / "planned"
     ended = labpipe("plan", _write(tmp_path), "-o", folder)
@@ -157,7 +168,7 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
         ({"trials": {"a": {"unbalance": {"disc 1": "0 g.mm"}}}}, "the trial unbalance is zero"),
         (
             {"trials": {name: {"unbalance": {"disc 1": "1 g.mm"}} for name in ("a b", "a-b")}},
-            "two trials differ by blanks alone",
+            "two trials would write the same files",
         ),
         ({"loads": ["6 N", "6 N"]}, "loads: one is there twice"),
         ({"trials": {"a": {"unbalance": {"disc 3": "1 g.mm"}}}}, "no plane 'disc 3'"),
