@@ -270,7 +270,7 @@ def fit_network(
     return Network(extent, tuple(trained), middle, deviation, seed, converged)
 
 
-# Fit functions by name, each of a grid and a seed.
+# Fit functions by name, each of a grid and a seed; ConfigError where a package is not installed.
 METAMODELS: dict[str, Callable[[metamodel_kinds.Grid, int], Metamodel]] = {
     "surface": metamodel_kinds.fit_surface,
     "process": fit_process,
@@ -301,15 +301,6 @@ class Metamodel(TabulatedCoefficients, Protocol):
         ...
 
     def to_entries(self) -> dict[str, Any]: ...
-
-
-def fit_metamodel(kind: str, grid: metamodel_kinds.Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid. ConfigError with the nearest name on a miss, or where a package is not
-    installed.
-    """
-    if kind not in METAMODELS:
-        raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
-    return METAMODELS[kind](grid, seed)
 
 
 def from_entries(entries: Mapping[str, Any]) -> Metamodel:
@@ -348,7 +339,7 @@ def caution(model: Metamodel, load: float) -> str:
 def _without(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) -> Metamodel:
     if len(grid.loads) < 2:
         raise FitError(metamodel_kinds.NO_OTHER_LOAD)
-    return fit_metamodel(kind, grid.at(load, others=True), seed)
+    return METAMODELS[kind](grid.at(load, others=True), seed)
 
 
 def leave_one_load_out(
