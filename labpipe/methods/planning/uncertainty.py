@@ -408,13 +408,6 @@ def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
     return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
 
 
-def predict(budget: Budget, random: FloatArray) -> Budget:
-    """The budget with the predicted standard uncertainties by noise (n_coefficient,) [units of the
-    coefficients].
-    """
-    return replace(budget, random=random, drawn=None)
-
-
 def beside_earlier(
     budget: Budget, earlier: Earlier, campaign: campaigns.Campaign, model: PlannedModel, duration: float
 ) -> Budget:

@@ -23,13 +23,12 @@ from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
-from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.excitation import uncertain_text
 from labpipe.methods.planning.plan_file import PIPELINE, PlanFile, write_runs
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind, check_distinct
+from labpipe.methods.planning.settings import PlanKind, check_distinct, criterion_setting
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
@@ -113,9 +112,7 @@ class WearPlanSettings(Settings):
     goal: WearGoal = setting(
         "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
     )
-    criterion: str = setting(
-        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
-    )
+    criterion: str = criterion_setting()
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:

@@ -18,7 +18,6 @@ from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
 from labpipe.methods.planning.run_ups import (
     EXPONENTS,
-    Limits,
     RunCandidate,
     RunUpChoice,
     RunUpPlanSettings,
@@ -210,9 +209,9 @@ def test_a_run_keeps_the_speeds_within_its_limits_if_they_are_two(one_load: RunU
     orbit = np.real(expected_run(expected, run).response[..., None] * turn)
     largest = np.max(np.hypot(orbit[:, :, 0], orbit[:, :, 1]), axis=(1, 2))
     low, middle, high = np.argsort(largest)
-    kept = at_allowed_speeds(expected, run, Limits(np.sqrt(largest[middle] * largest[high])))
+    kept = at_allowed_speeds(expected, run, np.sqrt(largest[middle] * largest[high]))
     assert kept is not None and set(kept.speed) == set(run.speed[[low, middle]])
-    assert at_allowed_speeds(expected, run, Limits(np.sqrt(largest[low] * largest[middle]))) is None
+    assert at_allowed_speeds(expected, run, np.sqrt(largest[low] * largest[middle])) is None
 
 
 def test_one_load_leaves_the_load_s_exponent_open(one_load: RunUpChoice) -> None:
