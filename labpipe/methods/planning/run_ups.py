@@ -27,7 +27,7 @@ from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.joint import EXPONENTS, MeasuredThreshold, family_about
 from labpipe.methods.run_ups.measured import excitation_text
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, scales
-from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.methods.run_ups.records import TRAINED, RunUp, Shaker
 from labpipe.methods.run_ups.rotor import (
     BOUND,
     COEFFICIENTS,
@@ -37,6 +37,7 @@ from labpipe.methods.run_ups.rotor import (
     FilmFamily,
     RunUpRotor,
     largest_displacement,
+    searched_over,
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
@@ -404,6 +405,7 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
 
 
 def _earlier(file: PlanFile) -> dict[str, float]:
+    """Parameters of the earlier joint fit, its viscosity at the load and speed that the plan refers it to."""
     if not file.settings.earlier:
         return {}
     path = file.path.parent / file.settings.earlier
@@ -412,7 +414,14 @@ def _earlier(file: PlanFile) -> dict[str, float]:
     if not methods:
         what = f"{path.name} holds no joint fit of run-ups"
         raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
-    return {parameter.name: parameter.value for parameter in methods[0].parameters}
+    values = {parameter.name: parameter.value for parameter in methods[0].parameters}
+    runs = () if result is None else result.runs
+    loads = [run.load for run in runs if run.role == TRAINED]
+    old = family_about(searched_over(file.settings.rig, runs), loads)
+    new = expected_rig(file.settings, {}).family
+    by_speed, by_load = (values.get(name, 0.0) for name in EXPONENTS)
+    moved = (new.speed / old.speed) ** by_speed * (new.load / old.load) ** by_load
+    return values | {"viscosity": values.get("viscosity", 1.0) * moved}
 
 
 RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)

@@ -19,6 +19,7 @@ from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
 from labpipe.methods.run_ups.measured import run_up_of
+from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.rig_file import load_rig
@@ -253,7 +254,7 @@ def track_run(
     return run
 
 
-def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
+def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFolder) -> list[str]:
     _write_table(run, output.write_path("orders.csv"))
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
     for circles in run.circles:
@@ -263,19 +264,26 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     if run.clearance is not None:
         gap, limit = run.clearance.gap, run.clearance.limit
         figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, gap, limit)
-    for name, figure in figures.items():
-        output.write_path(name).write_text(svg_file(figure), encoding="utf-8")
-    return ["orders.csv", *figures]
+    entries = {}
+    if verdict is not None:
+        entries["judgement.json"] = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
+        figures["judgement.svg"] = judged_figure(run.name, verdict, run.quantity)
+    texts = entries | {name: svg_file(figure) for name, figure in figures.items()}
+    for name, text in texts.items():
+        output.write_path(name).write_text(text, encoding="utf-8")
+    return ["orders.csv", *texts]
 
 
-def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> str:
-    """The order 1 of every plane as a run-up table, complete or absent; what is in it. ConfigError for a
-    plane without a name.
-    """
+def run_up_table(run: TrackedRun, load: float, unbalance: Mapping[str, complex]) -> RunUp:
+    """The order 1 of every plane; ConfigError for a plane without a name."""
     if any(not plane.name for plane in run.track.planes):
         hint = "dof: disc1.x and dof: disc1.y in the rig file"
         raise ConfigError("--save-run-up: the plane of the responses has no name", hint=hint)
-    table = run_up_of(run.track, run.channels, run.name, load, unbalance)
+    return run_up_of(run.track, run.channels, run.name, load, unbalance)
+
+
+def write_run_up(table: RunUp, path: Path) -> str:
+    """Write a run-up table, complete or absent; what is in it."""
     with output_file(path) as target:
         write_run_up_csv(target, table)
     text = f"{path}, {table.n_speed} speeds"
@@ -303,7 +311,8 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
         peak, beyond = int(np.argmax(orbit)), np.flatnonzero(orbit > share * gap)
         verdict = f"within {limit} at all speeds"
         if beyond.size:
-            verdict = f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on"
+            low, high = run.speeds[beyond].min(), run.speeds[beyond].max()
+            verdict = f"beyond {limit} at speeds from {low:.4g} to {high:.4g} rpm"
         largest = f"{factor * orbit[peak]:.4g} {unit} = {100 * orbit[peak] / gap:.3g} % of the gap"
         yield f"{plane.name:<8} largest orbit {largest} at {run.speeds[peak]:.4g} rpm: {verdict}"
 
@@ -373,7 +382,7 @@ def track_and_write(
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
-        names = write_tracked(run, folder)
+        table = None if conditions is None else run_up_table(run, *conditions)
         others = None
         if baseline is not None:
             before = track_run(baseline, rig, lines, order, revolutions, folder, suffix="-baseline")
@@ -386,14 +395,10 @@ def track_and_write(
             verdict = judge(
                 run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
             )
-            entry = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
-            figure = svg_file(judged_figure(run.name, verdict, run.quantity))
-            for name, text in {"judgement.json": entry, "judgement.svg": figure}.items():
-                folder.write_path(name).write_text(text, encoding="utf-8")
-                names.append(name)
-        table = ""
-        if save_run_up is not None and conditions is not None:
-            table = f"; {write_run_up(run, save_run_up, *conditions)}"
+        names = write_tracked(run, verdict, folder)
+        saved = ""
+        if save_run_up is not None and table is not None:
+            saved = f"; {write_run_up(table, save_run_up)}"
     code = 0 if verdict is None or verdict.accepted else 1
     if quiet:
         return code
@@ -402,7 +407,7 @@ def track_and_write(
     judged = () if verdict is None else judgement_lines(verdict, run.quantity)
     for row in (*order_lines(run), *(_centreline(run) if centreline else ()), *judged):
         echo(f"  {row}")
-    echo(f"written to {output}: {', '.join(names)}{table}")
+    echo(f"written to {output}: {', '.join(names)}{saved}")
     return code
 
 

@@ -45,7 +45,7 @@ from labpipe.methods.rotor.pinned import (
 )
 from labpipe.methods.rotor.rig import BearingPlace, Unbalance
 from labpipe.methods.rotor.shaft import Rotor
-from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.methods.run_ups.records import MeasuredRun, RunUp, Shaker
 from labpipe.registry import nearest
 
 COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
@@ -375,7 +375,7 @@ class RunUpRotor:
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
-def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+def searched_over(rig: RunUpRotor, runs: Iterable[RunUp | MeasuredRun]) -> RunUpRotor:
     """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
     if rig.speeds is not None:
         return rig

@@ -259,5 +259,7 @@ class RunUpSettings(Settings):
         for name in names:
             if names.count(name) > 1:
                 raise SettingError("runs", f"a second run named '{name}'", "names must differ")
+        if self.probes != ProbeSettings() and all(run.recording for run in self.runs):
+            raise SettingError("probes", "no run is a table", "a recording has those of its rig file")
         if all(run.role == HELD_OUT for run in self.runs):
             raise SettingError("runs", "every run is held out, none is trained", "leave out role: of some")

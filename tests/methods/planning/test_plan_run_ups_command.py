@@ -7,12 +7,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
 from labpipe.errors import ConfigError
+from labpipe.methods.planning import run_ups
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
@@ -27,11 +29,12 @@ from labpipe.methods.planning.run_ups import (
     expected_run,
 )
 from labpipe.methods.rotor.posterior import rank_of
-from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.joint import family_about, fit_jointly
+from labpipe.methods.run_ups.records import HELD_OUT, TRAINED, MeasuredRun, RunUp, RunUpMethod, RunUpResult
 from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv, write_run_up_csv
+from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain
 from tests.conftest import Command
 
@@ -96,6 +99,36 @@ def test_names_of_trials_are_names_of_files() -> None:
     assert names == {f"load-1-..-a-b-{number}" for number in (1, 2, 3)}
     with pytest.raises(ConfigError, match="two trials would write the same files"):
         RunUpPlanSettings("run-ups", "r", trials=(("a/b", trial), ("a b", trial)), rig=rig, **entries)
+
+
+def test_an_earlier_viscosity_is_referred_to_the_loads_and_speeds_of_the_plan(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The film of the earlier result, at its own references, is the one that is expected."""
+    parameters = {"viscosity": 0.8, "viscosity_speed": -0.4, "viscosity_load": 0.2, "clearance": 1.1}
+    listed = tuple(Parameter(name, value, "1") for name, value in parameters.items())
+    runs = tuple(
+        MeasuredRun(f"{load:g}", load, role, excitation="", speed=(60.0, 600.0), motions=())
+        for load, role in ((4.0, TRAINED), (9.0, TRAINED), (40.0, HELD_OUT))
+    )
+    method = RunUpMethod("joint", "(c)", "not rejected", predictions=(), parameters=listed)
+    result = RunUpResult("rotor", "disc 1", "film", runs=runs, methods=(method,))
+    found = SimpleNamespace(sections={"run_ups": result})
+    monkeypatch.setattr(run_ups, "read_identification", lambda _path: found)
+    (tmp_path / "identification.json").touch()
+    lines = ROTOR.read_text("utf-8").splitlines(keepends=True)
+    bare = "".join(line for line in lines if not line.startswith("speeds:"))
+    (tmp_path / "bare.yaml").write_text(bare, encoding="utf-8")
+    file = load_plan(_write(tmp_path, rotor="bare.yaml", earlier="identification.json", known=None))
+    expected = run_ups.expected_rig(file.settings, run_ups._earlier(file))
+    rig = replace(file.settings.rig, speeds=(60.0, 600.0))
+    old = np.zeros(12)
+    old[:4] = np.log(0.8), -0.4, 0.2, np.log(1.1)
+    load, speed = np.array([5.0, 10.0]), np.array([100.0, 250.0])
+    np.testing.assert_allclose(
+        expected.family.coefficients(expected.values, load, speed),
+        family_about(rig, [4.0, 9.0]).coefficients(old, load, speed),
+    )
 
 
 def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
