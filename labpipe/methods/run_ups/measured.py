@@ -126,7 +126,9 @@ class ReadRun:
 def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
     """The run as a record, and the reason of a missing critical speed."""
     run, settings = read.run, read.settings
-    critical, reason = None, ""
+    critical, threshold, reason = None, None, ""
+    if run.threshold is not None:
+        threshold = records.Amount(run.threshold.value, run.threshold.std_error)
     if run.shaker is None:
         try:
             peak = measured_critical_speed(run, plane)
@@ -141,9 +143,7 @@ def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
         speed=column(run.speed),
         motions=motions(run.planes, run.response, run.amplitude_error, run.phase_error),
         critical_speed=critical,
-        threshold=None
-        if run.threshold is None
-        else records.Amount(run.threshold.value, run.threshold.std_error),
+        threshold=threshold,
         subtracted="" if settings.subtracted is None else settings.subtracted.name,
         printed_critical_speed=settings.printed_critical_speed,
         printed_threshold=settings.printed_threshold,

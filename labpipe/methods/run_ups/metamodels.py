@@ -26,9 +26,9 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups import metamodel_kinds
-from labpipe.methods.run_ups.joint import LOAD_SLACK
+from labpipe.methods.run_ups.joint import outside
 from labpipe.methods.run_ups.measured import column
-from labpipe.methods.run_ups.records import OUTSIDE, LeftOut
+from labpipe.methods.run_ups.records import LeftOut
 from labpipe.methods.run_ups.rotor import TabulatedCoefficients, coefficient_errors
 from labpipe.registry import nearest
 
@@ -322,18 +322,10 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
 
 def caution(model: Metamodel, load: float) -> str:
     """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
-    low, high = model.extent.loads
-    if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
-        return ""
-    scope = (
-        "its error is valid under its assumptions only"
-        if model.kind in ("physical", "process")
-        else "its error does not cover extrapolation"
-    )
-    return (
-        f"{load:.3g} N lies {OUTSIDE} of this metamodel ({low:.3g} to {high:.3g} N), an "
-        f"extrapolation: {scope}"
-    )
+    beyond, scope = outside(load, *model.extent.loads, "this metamodel"), "does not cover extrapolation"
+    if model.kind in ("physical", "process"):
+        scope = "is valid under its assumptions only"
+    return beyond and f"{beyond}, an extrapolation: its error {scope}"
 
 
 def _without(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) -> Metamodel:
@@ -359,12 +351,12 @@ def leave_one_load_out(
         fits = {kind: partial(_without, grid, load, kind, seed) for kind in kinds}
         if physical is not None:
             fits[metamodel_kinds.PhysicalFit.kind] = partial(physical, load)
-        outside, points = load in (grid.loads[0], grid.loads[-1]), grid.at(load)
+        is_end, points = load in (grid.loads[0], grid.loads[-1]), grid.at(load)
         for kind, fitted in fits.items():
             errors, failed = np.full(8, np.nan), ""
             try:
                 errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)
             except FitError as error:
                 failed = error.what
-            rows[kind].append(LeftOut(load, column(errors), outside, failed))
+            rows[kind].append(LeftOut(load, column(errors), is_end, failed))
     return rows

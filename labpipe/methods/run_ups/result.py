@@ -175,10 +175,10 @@ def _solve(name: str, rig: RunUpRotor, trained: Sequence[records.RunUp], setting
 
 
 def prediction(
-    predictor: Predictor, rig: RunUpRotor, run: records.RunUp, plane: str, curves: bool = True
+    predictor: Predictor, rig: RunUpRotor, run: records.RunUp, plane: str
 ) -> records.RunPrediction:
     run_rig = with_unbalance_of(rig, run)
-    return predict(run_rig, run, predictor(run_rig, run), plane, curves)
+    return predict(run_rig, run, predictor(run_rig, run), plane)
 
 
 def _bearing_text(rig: RunUpRotor) -> str:
