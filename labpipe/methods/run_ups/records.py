@@ -380,13 +380,6 @@ class RunUpResult:
     def method(self, name: str) -> RunUpMethod | None:
         return next((method for method in self.methods if method.name == name), None)
 
-    def run(self, name: str) -> MeasuredRun:
-        """KeyError with the known names on a miss."""
-        for run in self.runs:
-            if run.name == name:
-                return run
-        raise KeyError(f"no run '{name}'; known: {', '.join(run.name for run in self.runs)}")
-
 
 def findings(result: RunUpResult) -> tuple[tuple[str, Finding], ...]:
     return tuple(("run-ups", finding) for finding in result.findings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -155,12 +155,13 @@ def identify_run_ups(
 MEASURED = "measured"
 SPEEDS = ("critical_speed", "threshold")
 ATTRIBUTES = ("std_error", "covers", "difference")
-METHOD_VALUES: dict[str, Callable[[records.RunUpMethod], float | None]] = {
-    "rank": lambda method: None if method.rank is None else float(method.rank),
-    "condition_number": lambda method: method.condition,
-    "chi2_reduced": lambda method: method.chi2_per_datum,
-    "chi2_p": lambda method: method.chi2_p,
-    "share_at_bound": lambda method: method.share_at_bound,
+# Names in rules -> in the record of a method.
+METHOD_VALUES = {
+    "rank": "rank",
+    "condition_number": "condition",
+    "chi2_reduced": "chi2_per_datum",
+    "chi2_p": "chi2_p",
+    "share_at_bound": "share_at_bound",
 }
 _ADDRESS = re.compile(
     r"^(?P<method>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$"
@@ -217,7 +218,8 @@ def _of_method(
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
         raise rule.fault(f"a method has no '{address.item}'", hint)
-    return rule.outcome(*compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
+    number: float | None = getattr(predictor, METHOD_VALUES[address.item])
+    return rule.outcome(*compare_number(rule, None if number is None else float(number), "1"))
 
 
 def _predictor(
