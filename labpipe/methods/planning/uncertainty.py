@@ -79,8 +79,6 @@ class Identifiability:
 
     @property
     def words(self) -> str:
-        if self.full:
-            return f"the excitation determines all {self.n_coefficient} coefficients"
         text = f"the excitation determines {self.rank} of {self.n_coefficient} coefficients"
         return f"{text}; not told apart: {', '.join(self.undetermined)}"
 
