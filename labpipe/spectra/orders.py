@@ -15,6 +15,7 @@ from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.spectra.channels import checked_blocks, columns_of
 from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST_ANGLE
+from labpipe.spectra.ports import sensor_response
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
 
@@ -90,16 +91,18 @@ def track_order(
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
 
     *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
-    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. DataError when the recording holds
-    no complete segment, or not two samples for a turn of the order. Equation (run-order).
+    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays of the channels, that of the
+    tacho, and their frequency responses are taken out of the amplitude. DataError when the recording holds no
+    complete segment, not two samples for a turn of the order, or an order outside a channel's frequency
+    response. Equation (run-order).
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
     outputs = columns_of(source.channels, "output")
-    ports = tuple(
-        Port(c.name, c.name, c.dof, c.angle, c.uncertainties)
-        for c in (source.channels[number] for number in outputs)
-    )
+    if not outputs:
+        raise DataError(f"recording '{source.name}' has no response (role: output)", hint="see the rig file")
+    sensors = [source.channels[number] for number in outputs]
+    ports = tuple(Port(c.name, c.name, c.dof, c.angle, c.uncertainties) for c in sensors)
     planes = planes_of(ports)
     segments = []
     for time, angle, samples in _segments(source, motion, revolutions):
@@ -119,12 +122,15 @@ def track_order(
             f"order {order:g} of recording '{source.name}' reaches {top:.4g} Hz, beyond half its sample rate",
             hint="check speed and order",
         )
+    chains = np.stack([sensor_response(sensor, order * speed) for sensor in sensors], axis=1)
+    late = sum(channel.delay for channel in source.channels if channel.name == lines.tacho)
+    amplitude = amplitude / chains * np.exp(-2j * np.pi * order * speed * late)[:, None]
     return OrderTrack(
         order=order,
         time=times,
         speed=speed,
         amplitude=amplitude,
-        variance=variance,
+        variance=variance / np.abs(chains) ** 2,
         ports=ports,
         overall=overall,
         orbit=orbit,

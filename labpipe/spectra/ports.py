@@ -136,12 +136,10 @@ def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     if not sensor.response:
         return response
     nodes, gain, phase = np.array(sensor.response).T
-    if frequency[0] < nodes[0] * (1 - EDGE) or frequency[-1] > nodes[-1] * (1 + EDGE):
+    low, high = frequency.min(), frequency.max()
+    if low < nodes[0] * (1 - EDGE) or high > nodes[-1] * (1 + EDGE):
         span = f"{nodes[0]:g}-{nodes[-1]:g} Hz"
-        what = (
-            f"the FRF ({frequency[0]:g}-{frequency[-1]:g} Hz) leaves the table of channel "
-            f"'{sensor.name}' ({span})"
-        )
+        what = f"the band {low:g}-{high:g} Hz leaves the table of channel '{sensor.name}' ({span})"
         raise DataError(what, hint="narrow `band`, or calibrate the sensor further")
     half_turns = np.array([phase.min(), phase.max()]) / np.pi
     if np.max(np.abs(half_turns)) <= 1 or (half_turns[0] >= 0 and half_turns[1] <= 2):

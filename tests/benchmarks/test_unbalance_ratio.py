@@ -17,7 +17,7 @@ from labpipe.methods.rotor.pinned import Stability, unbalance_forces
 from labpipe.methods.run_ups.amplitudes import fit_amplitudes
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.metamodel_kinds import Grid
-from labpipe.methods.run_ups.metamodels import fit_metamodel
+from labpipe.methods.run_ups.metamodels import METAMODELS
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.process import fit_with_process
 from tests.methods.run_ups.run_up_cases import RIG, trained
@@ -106,8 +106,8 @@ def test_amplitudes_smooth_factors_and_metamodels_in_run_ups(capsys) -> None:  #
         "amplitudes, one start": wall_seconds(lambda: fit_amplitudes(RIG, runs), 3),
         "amplitudes, twenty starts": wall_seconds(lambda: fit_amplitudes(RIG, runs, starts=20), 1),
         "smooth factors": wall_seconds(lambda: fit_with_process(RIG, runs, joint), 1),
-        "response surface": wall_seconds(lambda: fit_metamodel("surface", grid), 5),
-        "Gaussian process": wall_seconds(lambda: fit_metamodel("process", grid), 1),
+        "response surface": wall_seconds(lambda: METAMODELS["surface"](grid, 0), 5),
+        "Gaussian process": wall_seconds(lambda: METAMODELS["process"](grid, 0), 1),
     }
     with capsys.disabled():
         print(f"\nrun-up {1e3 * run_up:.3f} ms")

@@ -196,15 +196,15 @@ def _fit(evaluation: Evaluation) -> dict[str, Any]:
     return {"model": OF_SPECTRA, "dynamic_stiffness": entries}
 
 
-def uncertain_text(number: Uncertain) -> str:
-    """A mass as people write it, with its uncertainty: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
+def uncertain_text(number: Uncertain, unit: str = "kg") -> str:
+    """A number as people write it, with its uncertainty: 0.79 kg +- 0.005 kg (rectangular, source=scale)."""
     if not number.std_error:
-        return f"{number.value!r} kg"
+        return f"{number.value!r} {unit}"
     qualities = [number.shape] if number.shape != "normal" else []
     qualities += [f"dof={number.dof:g}"] if number.dof else []
     qualities += [f"source={number.source}"] if number.source else []
     behind = f" ({', '.join(qualities)})" if qualities else ""
-    return f"{number.value!r} kg +- {number.std_error * SHAPES[number.shape]!r} kg{behind}"
+    return f"{number.value!r} {unit} +- {number.std_error * SHAPES[number.shape]!r} {unit}{behind}"
 
 
 def rig_path(file: PlanFile) -> Path | None:

@@ -245,16 +245,6 @@ def vector_information(sensitivity: ComplexArray, forces: ComplexArray) -> Float
     return np.asarray(np.einsum("lni,lmi->lnm", change.conj(), change).real)
 
 
-def spectrum_information(sensitivity: ComplexArray, spectrum: ComplexArray) -> FloatArray:
-    """Information per second of Hermitian mean-square spectra (n_line, n_dof, n_dof) [N^2], (n_line,
-    n_coefficient, n_coefficient) [1/s].
-
-    sensitivity (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)]: 2 Re tr(G_i^H G_j Phi) of relative
-    coefficients. Equation (plan-spectrum).
-    """
-    return np.asarray(2 * np.einsum("lnki,lmkj,lji->lnm", sensitivity.conj(), sensitivity, spectrum).real)
-
-
 def relative_errors(information: FloatArray) -> FloatArray:
     """Smallest standard errors sqrt((I^-1)_ii) (n_coefficient,) [1]; infinite where the information (n, n)
     [1] is singular.

@@ -38,7 +38,6 @@ from labpipe.methods.planning.uncertainty import (
     identifiability,
     lasting_notes,
     limits,
-    predict,
     spread,
     spread_notes,
     unreachable,
@@ -190,7 +189,7 @@ def _with_budget(
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
     if timed.earlier is not None and earlier is not None:
         budget = beside_earlier(budget, earlier, timed, model, plan.duration)
-    budget = predict(budget, random)
+    budget = replace(budget, random=random, drawn=None)
     coefficients = with_uncertainty(plan.coefficients, budget)
     allowed = limits(goals, budget, model.scales)
     beyond = unreachable(goals, allowed)

@@ -15,20 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind, check_distinct, check_relative
+from labpipe.methods.planning.settings import PlanKind, check_distinct, check_relative, criterion_setting
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups.joint import EXPONENTS, MeasuredThreshold
+from labpipe.methods.run_ups.joint import EXPONENTS, MeasuredThreshold, family_about
 from labpipe.methods.run_ups.measured import excitation_text
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, scales
-from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.methods.run_ups.records import TRAINED, RunUp, Shaker
 from labpipe.methods.run_ups.rotor import (
     BOUND,
     COEFFICIENTS,
@@ -37,10 +36,11 @@ from labpipe.methods.run_ups.rotor import (
     RPM,
     FilmFamily,
     RunUpRotor,
-    as_matrices,
     largest_displacement,
+    searched_over,
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
+from labpipe.project.measured import file_stem
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
@@ -134,9 +134,7 @@ class RunUpPlanSettings(Settings):
         unit="1",
         default=(),
     )
-    criterion: str = setting(
-        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
-    )
+    criterion: str = criterion_setting()
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
@@ -152,9 +150,8 @@ class RunUpPlanSettings(Settings):
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
                     raise SettingError(field, what, nearest(name, PARAMETERS))
-        stems = [name.replace(" ", "-") for name, _ in self.trials]
-        if len(set(stems)) < len(stems):
-            raise SettingError("trials", "two trials differ by blanks alone", "their names name files")
+        if len({file_stem(name) for name, _ in self.trials}) < len(self.trials):
+            raise SettingError("trials", "two trials would write the same files", "rename one")
         for name, values in self.expected:
             self._check_expected(name, values)
         self._check_goals()
@@ -242,7 +239,7 @@ class RunUpChoice:
             for name, trial in settings.trials:
                 shaker = Shaker(trial.shaker, trial.force, 0.0, trial.ratio) if trial.shaker else None
                 for number, speed in enumerate(stretches, 1):
-                    stem = f"load-{place}-{name.replace(' ', '-')}"
+                    stem = f"load-{place}-{file_stem(name)}"
                     stem += f"-{number}" if settings.stretches > 1 else ""
                     candidate = RunCandidate(stem, load, speed, dict(trial.unbalance), shaker)
                     yield candidate
@@ -253,10 +250,10 @@ class RunUpChoice:
     @cached_property
     def _allowed(self) -> tuple[list[RunCandidate], list[str]]:
         """The runs at the speeds that the limits allow, and what to note of it."""
-        limits = Limits(self.settings.displacement_limit, self.settings.journal_limit)
+        limits = self.settings.displacement_limit, self.settings.journal_limit
         kept, cut, whole = [], 0, 0
         for candidate in self._all():
-            allowed = at_allowed_speeds(self.expected, candidate, limits)
+            allowed = at_allowed_speeds(self.expected, candidate, *limits)
             kept += [] if allowed is None else [allowed]
             full = allowed is not None and allowed.speed.size == candidate.speed.size
             cut, whole = cut + (not full), whole + full
@@ -387,8 +384,7 @@ def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> E
     rig: RunUpRotor = settings.rig
     if rig.speeds is None:
         rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
-    usual_load = float(np.exp(np.mean(np.log(sorted(set(settings.loads))))))
-    family = FilmFamily(rig.place.film("a plan of run-ups"), rig.search.high / 2, usual_load)
+    family = family_about(rig, settings.loads, "a plan of run-ups")
     return ExpectedRig(rig, family, settings.values(earlier), settings.noise)
 
 
@@ -409,6 +405,7 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
 
 
 def _earlier(file: PlanFile) -> dict[str, float]:
+    """Parameters of the earlier joint fit, its viscosity at the load and speed that the plan refers it to."""
     if not file.settings.earlier:
         return {}
     path = file.path.parent / file.settings.earlier
@@ -417,7 +414,14 @@ def _earlier(file: PlanFile) -> dict[str, float]:
     if not methods:
         what = f"{path.name} holds no joint fit of run-ups"
         raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
-    return {parameter.name: parameter.value for parameter in methods[0].parameters}
+    values = {parameter.name: parameter.value for parameter in methods[0].parameters}
+    runs = () if result is None else result.runs
+    loads = [run.load for run in runs if run.role == TRAINED]
+    old = family_about(searched_over(file.settings.rig, runs), loads)
+    new = expected_rig(file.settings, {}).family
+    by_speed, by_load = (values.get(name, 0.0) for name in EXPONENTS)
+    moved = (new.speed / old.speed) ** by_speed * (new.load / old.load) ** by_load
+    return values | {"viscosity": values.get("viscosity", 1.0) * moved}
 
 
 RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)
@@ -434,10 +438,6 @@ class ExpectedRig:
     family: FilmFamily
     values: FloatArray
     reading: ReadingSettings
-
-    def coefficients(self, load: float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_speed, 8) [N/m, N s/m] at a load [N] and speeds (n_speed,) [rad/s]."""
-        return self.family.coefficients(self.values, load, speed)
 
     def threshold(self, load: float) -> float | None:
         """Expected threshold of instability [rad/s] under a load [N]; None for none within the search."""
@@ -459,14 +459,6 @@ class RunCandidate:
     to_threshold: bool = False
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Largest displacement 0-to-peak at a plane and of the journal [m]; None: no limit."""
-
-    displacement: float | None = None
-    journal: float | None = None
-
-
 def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
     """The run as it is expected, without noise, with the standard errors of its readings."""
     rig, speed = expected.rig, candidate.speed
@@ -483,7 +475,7 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
         unbalance=candidate.unbalance,
         shaker=candidate.shaker,
     )
-    matrices = as_matrices(expected.coefficients(candidate.load, speed))
+    matrices = expected.family.at_load(expected.values, candidate.load)(speed)
     response = rig.excited(unit).response(*matrices).reshape(shape)
     reading = expected.reading
     floor = reading.displacement / np.abs(response)
@@ -517,23 +509,23 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     return np.asarray(matrix)
 
 
-def allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> BoolArray:
-    """Speeds (n_speed,) at which the rotor is stable, no displacement exceeds its limit, and every reading is
-    above its noise.
+def at_allowed_speeds(
+    expected: ExpectedRig,
+    candidate: RunCandidate,
+    displacement_limit: float | None = None,
+    journal_limit: float | None = None,
+) -> RunCandidate | None:
+    """The candidate at the speeds at which the rotor is stable, no displacement 0-to-peak at a plane or of
+    the journal exceeds its limit [m], and every reading is above its noise; None where fewer than two are
+    left.
     """
     run = expected_run(expected, replace(candidate, to_threshold=False))
-    stiffness, damping = as_matrices(expected.coefficients(run.load, run.speed))
+    stiffness, damping = expected.family.at_load(expected.values, run.load)(run.speed)
     good = expected.rig.stability.growth(run.speed, stiffness, damping) <= GROWTH_TOLERANCE
     good &= np.all(run.amplitude_error <= LARGEST_ERROR * np.abs(run.response), axis=(1, 2))
-    if limits.displacement is not None:
-        good &= np.all(largest_displacement(run.response) <= limits.displacement, axis=1)
-    if limits.journal is not None:
+    if displacement_limit is not None:
+        good &= np.all(largest_displacement(run.response) <= displacement_limit, axis=1)
+    if journal_limit is not None:
         journal = expected.rig.excited(run).journal(stiffness, damping)[0]
-        good &= largest_displacement(journal) <= limits.journal
-    return np.asarray(good)
-
-
-def at_allowed_speeds(expected: ExpectedRig, candidate: RunCandidate, limits: Limits) -> RunCandidate | None:
-    """The candidate at the speeds that are allowed; None where fewer than two are left."""
-    good = allowed_speeds(expected, candidate, limits)
+        good &= largest_displacement(journal) <= journal_limit
     return replace(candidate, speed=candidate.speed[good]) if np.count_nonzero(good) > 1 else None

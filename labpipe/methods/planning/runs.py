@@ -50,11 +50,6 @@ class RunChoices:
         """Information (n, n) [1] of numbers of runs (n_run,) [1], with what is known before."""
         return np.asarray(self.prior + np.tensordot(counts, self.information, 1))
 
-    def in_units(self, units: FloatArray) -> RunChoices:
-        """Of parameters in *units* (n,) [any unit]."""
-        size = np.outer(units, units)
-        return replace(self, information=self.information * size, prior=self.prior * size)
-
 
 @dataclass(frozen=True)
 class RunDesign:
@@ -332,9 +327,8 @@ class RunQuestion:
     def _choices(self, conditions: Sequence[Condition], settled: Sequence[str]) -> RunChoices:
         cost = np.array([condition.seconds for condition in conditions])
         information = np.stack([condition.information for condition in conditions])
-        return RunChoices(cost, information, self.prior, np.isin(self.parameters, settled)).in_units(
-            self.units
-        )
+        size = np.outer(self.units, self.units)
+        return RunChoices(cost, information * size, self.prior * size, np.isin(self.parameters, settled))
 
 
 @dataclass(frozen=True)

@@ -41,10 +41,6 @@ class Candidates:
     cost: FloatArray
     information: FloatArray
 
-    def power(self, shares: FloatArray) -> FloatArray:
-        """Mean square forces (n_candidate,) [N^2] of cost *shares* (n_candidate,) [1] of a cost of 1."""
-        return np.asarray(shares / self.cost)
-
 
 def candidates(
     model: PlannedModel,
@@ -234,7 +230,7 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
 
 
 def _power(pool: Candidates, design: Design, lines: IntArray) -> FloatArray:
-    return pool.power(design.shares).reshape(lines.size, -1)
+    return (design.shares / pool.cost).reshape(lines.size, -1)
 
 
 def _look(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:

@@ -52,6 +52,11 @@ class DensitySettings(Settings):
     acceleration: float = quantity("of the acceleration", "m/(s^2.Hz^0.5)", 0.0)
 
 
+def criterion_setting() -> Any:
+    help = "least largest error, sum of squares, or volume"
+    return setting("choice", help, choices=CRITERIA, default=MINIMAX)
+
+
 def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
     """ConfigError for a goal that is not one positive relative error."""
     for name, values in goals:
@@ -146,9 +151,7 @@ class PlanSettings(Settings):
         unit="1",
         default=(),
     )
-    criterion: str = setting(
-        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
-    )
+    criterion: str = criterion_setting()
     floor: float = quantity("share of the power on all lines alike, for a test of the model", "1", 0.2)
     shakers: tuple[str, ...] = setting(
         "names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=()

@@ -18,7 +18,6 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import SettingError
 from labpipe.methods.planning import plan
 from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
-from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
 from labpipe.methods.planning.model import AXES, MODELS, UNITS, PlannedModel
 from labpipe.methods.planning.plan_file import PlanFile, write_runs
@@ -33,6 +32,7 @@ from labpipe.methods.planning.settings import (
     PlanSettings,
     check_distinct,
     check_relative,
+    criterion_setting,
 )
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
@@ -88,9 +88,7 @@ class StatePlanSettings(Settings):
         unit="1",
         default=(),
     )
-    criterion: str = setting(
-        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
-    )
+    criterion: str = criterion_setting()
     scheme: str = setting(
         "choice", "how both shakers run at once", choices=(INTERLEAVED, TOGETHER), default=INTERLEAVED
     )

@@ -79,8 +79,6 @@ class Identifiability:
 
     @property
     def words(self) -> str:
-        if self.full:
-            return f"the excitation determines all {self.n_coefficient} coefficients"
         text = f"the excitation determines {self.rank} of {self.n_coefficient} coefficients"
         return f"{text}; not told apart: {', '.join(self.undetermined)}"
 
@@ -406,13 +404,6 @@ def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
     that noise adds little.
     """
     return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
-
-
-def predict(budget: Budget, random: FloatArray) -> Budget:
-    """The budget with the predicted standard uncertainties by noise (n_coefficient,) [units of the
-    coefficients].
-    """
-    return replace(budget, random=random, drawn=None)
 
 
 def beside_earlier(

@@ -23,12 +23,12 @@ from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.journal_bearing.kind import Wear
-from labpipe.methods.planning.designs import CRITERIA, MINIMAX
+from labpipe.methods.planning.excitation import uncertain_text
 from labpipe.methods.planning.plan_file import PIPELINE, PlanFile, write_runs
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_sentences
 from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
-from labpipe.methods.planning.settings import PlanKind, check_distinct
+from labpipe.methods.planning.settings import PlanKind, check_distinct, criterion_setting
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
@@ -112,9 +112,7 @@ class WearPlanSettings(Settings):
     goal: WearGoal = setting(
         "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
     )
-    criterion: str = setting(
-        "choice", "least largest error, sum of squares, or volume", choices=CRITERIA, default=MINIMAX
-    )
+    criterion: str = criterion_setting()
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
@@ -196,7 +194,7 @@ class ExpectedWear:
 
     def at(self, speed: float, node: int, load: float) -> ExpectedWear:
         """At another speed [Hz] and with another vertical static force [N] at a node, positive up."""
-        others = tuple(part for part in self.rig.loads if part[0] != node)
+        others = ((at, y, 0.0 if at == node else z) for at, y, z in self.rig.loads)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
     def receptance_and_slopes(
@@ -413,7 +411,9 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
     tests = WearTests(settings, settings.expected)
     plan = tests.plan(file.title)
     rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
-    others = [load for load in rotor.get("loads", []) if load["node"] != settings.node]
+    others = [
+        load if load["node"] != settings.node else {**load, "z": "0 N"} for load in rotor.get("loads") or ()
+    ]
     files: dict[str, Any] = {}
     for run in plan.runs:
         point = tests.points[run.name]
@@ -466,7 +466,7 @@ def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
         if last:
             wear |= {"prior": last, "same_wear": True}
         for name, given in settings.nuisances.items() if not last else ():
-            wear[name] = f"{given.value!r} {UNITS[name]} +- {given.std_error!r} {UNITS[name]}"
+            wear[name] = uncertain_text(given, UNITS[name])
         wear["angle_limit"] = f"{settings.angle_limit!r} rad"
         last, band = f"wear-{run.name}", f"{point.band[0]!r}-{point.band[1]!r} Hz"
         fits[last] = {"model": settings.model, "test": run.name, "band": band, "wear": wear}

@@ -29,7 +29,6 @@ from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.registry import nearest
 
 # Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
 # (n_chosen,).
@@ -48,12 +47,8 @@ class SearchLimits:
     most_evaluations: int = 4000
     target_share: float = 1e-9
 
-    def __post_init__(self) -> None:
-        if not 0 < self.smallest_mesh <= self.first_mesh <= self.largest_mesh <= 1:
-            hint = "for example 1e-4, 0.25, 0.5"
-            raise ConfigError("meshes of a pattern search rise: smallest, first, largest, up to 1", hint=hint)
-        if self.most_evaluations < 1 or not 0 <= self.target_share < 1:
-            raise ConfigError("a search needs one evaluation or more, and a target below the first objective")
+
+USUAL = SearchLimits()
 
 
 @dataclass(frozen=True)
@@ -98,13 +93,12 @@ def compass_search(
     start: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
-    limits: SearchLimits | None = None,
+    limits: SearchLimits = USUAL,
 ) -> SearchResult:
     """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same
-    shape; deterministic. ConfigError where a start lies outside its box.
+    shape; deterministic.
     """
-    limits = limits or SearchLimits()
-    values, width = _check(start, lower, upper)
+    values, width = np.array(start, np.float64), upper - lower
     n_problem, n_parameter = values.shape
     problems = np.arange(n_problem)
     lowest = objective(values[None], problems)[0]
@@ -135,40 +129,26 @@ def cobyqa_search(
     start: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
-    limits: SearchLimits | None = None,
+    limits: SearchLimits = USUAL,
 ) -> SearchResult:
     """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
     has no mesh (NaN). *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError
     without COBYQA in the installed scipy.
     """
-    limits = limits or SearchLimits()
-    values, width = _check(start, lower, upper)
-    traces = [_trace(objective, n, values[n], lower[n], width[n], limits) for n in range(values.shape[0])]
-    length = max(trace.objective.size for trace in traces)
-    best = np.array([trace.points[np.argmin(trace.objective)] for trace in traces])
+    width = upper - lower
+    traces = [_trace(objective, n, start[n], lower[n], width[n], limits) for n in range(start.shape[0])]
+    points, objectives, capped = zip(*traces, strict=True)
+    best = np.array([of[np.argmin(values)] for of, values in zip(points, objectives, strict=True)])
+    counts = np.array([len(values) for values in objectives], np.intp)
+    length = counts.max()
     columns = [
-        np.pad(np.minimum.accumulate(trace.objective), (0, length - trace.objective.size), "edge")
-        for trace in traces
+        np.pad(np.minimum.accumulate(values), (0, length - values.size), "edge") for values in objectives
     ]
-    counts = np.array([trace.objective.size for trace in traces], np.intp)
     evaluations = np.minimum(np.arange(1, length + 1)[:, None], counts)
     lowest = np.stack(columns, axis=1)
     mesh = np.full(lowest.shape, np.nan)
-    return SearchResult(
-        lower + best * width,
-        lowest[-1],
-        mesh[-1],
-        counts,
-        np.array([trace.capped for trace in traces]),
-        SearchHistory(evaluations, lowest, mesh),
-    )
-
-
-@dataclass(frozen=True)
-class _Trace:
-    points: FloatArray
-    objective: FloatArray
-    capped: bool
+    history = SearchHistory(evaluations, lowest, mesh)
+    return SearchResult(lower + best * width, lowest[-1], mesh[-1], counts, np.array(capped), history)
 
 
 def _trace(
@@ -178,7 +158,8 @@ def _trace(
     lower: FloatArray,
     width: FloatArray,
     limits: SearchLimits,
-) -> _Trace:
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Points as parts of the box, their objectives, and whether the limit of evaluations ended it."""
     points: list[FloatArray] = []
     objectives: list[float] = []
     number = np.array([problem])
@@ -201,25 +182,10 @@ def _trace(
             raise
         hint = "install scipy 1.14 or newer, or search by method: pattern"
         raise ConfigError("this scipy has no COBYQA", hint=hint) from error
-    return _Trace(np.array(points), np.array(objectives), not outcome.success)
+    return np.array(points), np.array(objectives), not outcome.success
 
 
-SEARCHES = {"pattern": compass_search, "cobyqa": cobyqa_search}
-
-
-def search_named(name: str) -> Callable[..., SearchResult]:
-    """One of SEARCHES; ConfigError with the nearest known name on a miss."""
-    if name not in SEARCHES:
-        raise ConfigError(f"no search '{name}'", hint=nearest(name, SEARCHES))
-    return SEARCHES[name]
-
-
-def _check(start: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    if not np.all((lower < upper) & (start >= lower) & (start <= upper)):
-        raise ConfigError("a search starts within its bounds, the lower ones below the upper ones")
-    return np.array(start, np.float64), upper - lower
-
-
+SEARCHES: dict[str, Callable[..., SearchResult]] = {"pattern": compass_search, "cobyqa": cobyqa_search}
 BOUND = 0.3
 SEED = 20260101
 # Distance from a bound, as a part of the box, below which a factor counts as at its bound.
@@ -289,16 +255,12 @@ def fit_amplitudes(
     method: str = "pattern",
     starts: int = 1,
     seed: int = SEED,
-    limits: SearchLimits | None = None,
+    limits: SearchLimits = USUAL,
 ) -> list[AmplitudeFit]:
-    """One AmplitudeFit per load; the first of the *starts* is the rotor file's bearing, the others are drawn
-    evenly from the box. The lowest objective of the starts is kept. ConfigError for a bound outside 0 to 1,
-    no start, or an unknown method. Equation (run-amplitudes).
+    """One AmplitudeFit per load, by the *method* of SEARCHES; the first of the *starts* is the rotor file's
+    bearing, the others are drawn evenly from the box. The lowest objective of the starts is kept. Equation
+    (run-amplitudes).
     """
-    if not (0 < bound < 1 and starts >= 1):
-        what = "the bound of the factors lies between 0 and 100 %, with one start or more"
-        raise ConfigError(what, hint="for example 30 %")
-    search_named(method)
     rng = np.random.default_rng(seed)
     return [_fit_load(rig, group, bound, method, starts, rng, limits) for group in runs_by_load(rig, runs)]
 
@@ -310,7 +272,7 @@ def _fit_load(
     method: str,
     starts: int,
     rng: np.random.Generator,
-    limits: SearchLimits | None,
+    limits: SearchLimits,
 ) -> AmplitudeFit:
     start = rotor.as_eight(*rig.start_coefficients(group.load, group.speed))
     n = group.speed.size
@@ -319,7 +281,7 @@ def _fit_load(
     first = drawn.reshape(-1, 8)
     low, high = np.full_like(first, 1 - bound), np.full_like(first, 1 + bound)
     amplitudes = Amplitudes.of(group)
-    search = search_named(method)(amplitudes.objective(start), first, low, high, limits)
+    search = SEARCHES[method](amplitudes.objective(start), first, low, high, limits)
     objectives = search.objective.reshape(starts, n)
     best = np.argmin(objectives, axis=0) * n + np.arange(n)
     eight = start * search.values[best]
@@ -359,11 +321,8 @@ class Amplitudes:
     @classmethod
     def of(cls, group: LoadRuns) -> Amplitudes:
         measured = [rotor.largest_displacement(run.run.response) for run in group.runs]
-        return cls(
-            group.runs,
-            np.concatenate(measured, axis=1),
-            np.concatenate([_error(run.run) for run in group.runs], axis=1),
-        )
+        errors = [_error(run.run) for run in group.runs]
+        return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate(errors, axis=1))
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
         """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
@@ -408,9 +367,8 @@ def perfect_but_wrong(fits: Sequence[AmplitudeFit]) -> str:
     misfit = float(np.sqrt(np.mean(np.concatenate([fit.misfit for fit in fits]) ** 2)))
     share = float(np.mean(np.concatenate([fit.at_bound.ravel() for fit in fits])))
     ranks = sorted({int(rank) for fit in fits for rank in fit.rank})
-    rank_text = " or ".join(map(str, ranks))
     return (
-        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only {rank_text} "
-        f"combinations of the eight coefficients; {100 * share:.0f} % of the factors are at a bound, the "
-        "others depend on the search's start"
+        f"the amplitudes are met within {100 * misfit:.2g} % (rms), yet they determine only "
+        f"{' or '.join(map(str, ranks))} combinations of the eight coefficients; {100 * share:.0f} % of the "
+        "factors are at a bound, the others depend on the search's start"
     )

@@ -210,10 +210,10 @@ def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[
 
 
 def speeds_figure(result: records.RunUpResult) -> Figure:
-    items = (("critical_speed", "critical speed"), ("threshold", "threshold"))
+    load = chart.Axis("static load", "N")
     panels = [
-        chart.Panel(chart.Axis("static load", "N"), chart.Axis(label, "rpm"), _speed_series(result, item))
-        for item, label in items
+        chart.Panel(load, chart.Axis(item.replace("_", " "), "rpm"), _speed_series(result, item))
+        for item in ("critical_speed", "threshold")
     ]
     held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == records.HELD_OUT)
     remark = f" The run at {held_out_loads} is in no fit." if held_out_loads else ""
@@ -229,15 +229,8 @@ def speeds_figure(result: records.RunUpResult) -> Figure:
 
 
 def _speed_series(result: records.RunUpResult, item: str) -> tuple[chart.Series, ...]:
-    measured = _speeds(
-        [(run.load, getattr(run, item)) for run in result.runs],
-        "measured",
-        chart.INK,
-        "",
-        marker="o",
-        size=5.0,
-    )
-    series = [*measured]
+    measured = [(run.load, getattr(run, item)) for run in result.runs]
+    series = _speeds(measured, "measured", chart.INK, "", marker="o", size=5.0)
     for method in result.methods:
         predictions = [(run.load, method.prediction(run.name)) for run in result.runs]
         amounts = [(load, getattr(prediction, item, None)) for load, prediction in predictions]
@@ -339,27 +332,21 @@ def _coefficient(
 
 
 def convergence_figure(method: records.RunUpMethod, search: records.Convergence) -> Figure:
-    steps = np.arange(len(search.objective))
     meshed = bool(np.any(np.isfinite(search.mesh)))
+
+    def over_steps(name: str, values: FloatArray | records.Column, axis: chart.Axis) -> chart.Panel:
+        shown = np.any(np.isfinite(values))
+        curve = chart.curve(name, np.arange(len(values)), values, marker=".")
+        return chart.Panel(ITERATION, axis, (curve,) if shown else ())
+
+    objective = chart.Axis("objective", "um²", logarithmic=True)
     panels = (
-        chart.Panel(
-            ITERATION,
-            chart.Axis("objective", "um²", logarithmic=True),
-            (chart.curve("objective", steps, 1e12 * np.array(search.objective), marker="."),),
-        ),
-        chart.Panel(
-            ITERATION,
-            chart.Axis("mesh size, part of the box", logarithmic=meshed),
-            (chart.curve("mesh", steps, search.mesh, marker="."),) if meshed else (),
-        ),
-        chart.Panel(
-            ITERATION,
-            chart.Axis("evaluations"),
-            (chart.curve("evaluations", steps, search.evaluations, marker="."),),
-        ),
+        over_steps("objective", 1e12 * np.array(search.objective), objective),
+        over_steps("mesh", search.mesh, chart.Axis("mesh size, part of the box", logarithmic=meshed)),
+        over_steps("evaluations", search.evaluations, chart.Axis("evaluations")),
         _factors((chart.dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
-    end = "ended by the limit on evaluations" if search.capped else "ended at the smallest mesh"
+    end = "ended by the limit on evaluations" if search.capped else "ended at its tolerance"
     caption = (
         f"{method.title}: convergence at {search.where}; {int(sum(search.evaluations))} evaluations, {end}. "
         "A small objective does not mean that the factors are right."

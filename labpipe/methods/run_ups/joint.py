@@ -24,7 +24,7 @@ from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, sources_of
-from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.records import OUTSIDE, RunUp
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
 MOST_SEARCHES = 25
@@ -121,6 +121,13 @@ EXPONENTS = ("viscosity_speed", "viscosity_load")
 STEP = 0.5
 
 
+def outside(load: float, low: float, high: float, of: str) -> str:
+    """Words on a *load* [N] beyond *low* and *high* [N]; empty within."""
+    if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
+        return ""
+    return f"{load:.3g} N lies {OUTSIDE} of {of} ({low:.3g} to {high:.3g} N)"
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunUpFit(Posterior[Family]):
     """The posterior of the parameters of a family of coefficients, of all run-ups of a *rig*, after so many
@@ -147,12 +154,10 @@ class RunUpFit(Posterior[Family]):
     @cached_property
     def changes(self) -> FloatArray:
         """Of the residual by one standard uncertainty of each of the sources, (n_source, n_datum) [1]."""
-        changes = np.zeros((len(self.sources), self.n_datum))
         names = [source.source for source in self.sources]
         by_group = [group.residual_changes(names).reshape(len(names), -1) for group in self.groups if names]
-        measured = np.concatenate([changes[:, :0], *by_group], axis=1)
-        changes[:, : measured.shape[1]] = measured
-        return changes
+        measured = np.concatenate([np.zeros((len(names), 0)), *by_group], axis=1)
+        return np.pad(measured, ((0, 0), (0, self.n_datum - measured.shape[1])))
 
     @cached_property
     def systematic(self) -> FloatArray:
@@ -192,12 +197,14 @@ class RunUpFit(Posterior[Family]):
         """K and C (n_speed, 2, 2) as a function of speed [rad/s] under a *load* [N]."""
         return self.model.at_load(self.values, load)
 
+    def with_slopes(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The eight coefficients (n_speed, 8) [N/m, N s/m] and their derivatives by the parameters."""
+        return self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+
     def extrapolated(self, load: float) -> str:
         """Warning on a *load* [N] outside those of the fit; empty within."""
-        low, high = min(self.loads), max(self.loads)
-        if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
-            return ""
-        return f"{load:.3g} N lies outside the loads of the fit ({low:.3g} to {high:.3g} N): "
+        beyond = outside(load, min(self.loads), max(self.loads), "the fit")
+        return beyond and f"{beyond}: "
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,8 +260,7 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
-        speed = np.asarray(speed, np.float64)
-        eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        eight, slopes = self.with_slopes(load, speed)
         return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
@@ -287,9 +293,9 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
                 f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted "
                 "family, and no interval is given"
             )
-        if outside := self.extrapolated(load):
+        if beyond := self.extrapolated(load):
             parts.append(
-                f"{outside}the interval holds for bearings of the fitted family only; chi-square tests the "
+                f"{beyond}the interval holds for bearings of the fitted family only; chi-square tests the "
                 "measured loads only"
             )
         return "; ".join(parts)

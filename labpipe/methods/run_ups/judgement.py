@@ -135,13 +135,10 @@ def judge(
     A margin is kept or broken where its interval is all on one side, else undecided. Equation (run-judged).
     """
     speed, readings, deviation = _by_speed(track)
-    if speed.size < FEWEST:
-        hint = f"{FEWEST} at least"
-        raise DataError(f"{speed.size} different speeds are too few to judge a run-up", hint=hint)
     rng = np.random.default_rng(SEED)
     smooth = _Smooth(speed, readings, deviation)
     # The first is the reading itself.
-    curves = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
+    curves = recorded = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
     rolled = None
     if slow_roll is not None:
         whole = np.abs(smooth.fitted)
@@ -165,8 +162,10 @@ def judge(
             peak, drawn = mode or (peak, drawn)
             passed = float(np.interp(peak.speed, track.speed[rising], rate[rising]))
             judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, passed))
+    # The slow roll of a run and of its baseline is the same.
+    moved = curves if baseline is None else recorded
     sensitivities = (
-        tuple(_sensitivities(smooth.fine, curves, labels, unbalance, speed_range, baseline, rng))
+        tuple(_sensitivities(smooth.fine, moved, labels, unbalance, speed_range, baseline, rng))
         if unbalance
         else ()
     )
@@ -179,6 +178,9 @@ def judge(
 def _by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Rising speeds [Hz], readings and the standard deviation of their parts; of equal speeds the first."""
     speed, order = np.unique(np.round(track.speed, 6), return_index=True)
+    if speed.size < FEWEST:
+        hint = f"{FEWEST} at least"
+        raise DataError(f"{speed.size} different speeds are too few to judge a run-up", hint=hint)
     return speed, track.amplitude[order], np.sqrt(np.maximum(track.variance[order], 1e-300) / 2)
 
 
@@ -427,6 +429,8 @@ def _sensitivities(
     if speed_range is not None:
         inside = (fine >= speed_range[0]) & (fine <= speed_range[1])
     if not inside.any():
+        if baseline is not None:
+            raise DataError("the run and its baseline have no speed of operation in common")
         return
     for probe, label in enumerate(labels):
         size = np.abs(curves[:, inside, probe]) / unbalance

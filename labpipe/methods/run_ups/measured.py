@@ -11,7 +11,7 @@ the stated noise, together with what two points fewer and the uncertainties of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.rotor import largest_displacement
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import to_display
+from labpipe.records.recording import Channel
 from labpipe.records.uncertain import COURSES, Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.orders import OrderTrack
@@ -47,9 +48,10 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
         raise DataError(f"no plane '{plane}' in run '{run.name}'", hint=nearest(plane, run.planes))
     number = run.planes.index(plane) if plane else len(run.planes) - 1
     top = _top(run, number)
-    chosen, rng = _about(run, top, POINTS), np.random.default_rng(SEED)
+    size = min(POINTS, run.n_speed)
+    chosen, rng = _about(run, top, size), np.random.default_rng(SEED)
     wide = _peak(run, number, chosen, run.response)
-    narrow = _peak(run, number, _about(run, top, POINTS - 2), run.response)
+    narrow = _peak(run, number, _about(run, top, size - 2), run.response)
     again = [_peak(run, number, chosen, _noisy(run, rng)) for _ in range(REFITS)]
     of_probes = [
         _peak(run, number, chosen, run.response + change) - wide for change in run.changes().values()
@@ -68,7 +70,6 @@ def _top(run: records.RunUp, number: int) -> int:
 
 
 def _about(run: records.RunUp, top: int, size: int) -> slice:
-    size = min(size, run.n_speed)
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)
 
@@ -125,7 +126,9 @@ class ReadRun:
 def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
     """The run as a record, and the reason of a missing critical speed."""
     run, settings = read.run, read.settings
-    critical, reason = None, ""
+    critical, threshold, reason = None, None, ""
+    if run.threshold is not None:
+        threshold = records.Amount(run.threshold.value, run.threshold.std_error)
     if run.shaker is None:
         try:
             peak = measured_critical_speed(run, plane)
@@ -140,9 +143,7 @@ def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
         speed=column(run.speed),
         motions=motions(run.planes, run.response, run.amplitude_error, run.phase_error),
         critical_speed=critical,
-        threshold=None
-        if run.threshold is None
-        else records.Amount(run.threshold.value, run.threshold.std_error),
+        threshold=threshold,
         subtracted="" if settings.subtracted is None else settings.subtracted.name,
         printed_critical_speed=settings.printed_critical_speed,
         printed_threshold=settings.printed_threshold,
@@ -193,20 +194,21 @@ SAME_SPEED = 1e-3
 
 
 def run_up_of(
-    track: OrderTrack, name: str, load: float, unbalance: Mapping[str, complex], planes: tuple[str, ...] = ()
+    track: OrderTrack, channels: Iterable[Channel], name: str, load: float, unbalance: Mapping[str, complex]
 ) -> records.RunUp:
-    """The run-up of a tracked order; standard errors sqrt(variance / 2) of the amplitude, divided by |X| for
-    the phase. x and y are those of the rig file; x must point along the load. *planes*: the rotor's names of
-    the track's planes, in order. Segments whose speeds agree to SAME_SPEED are averaged to one point (stepped
-    run). DataError without a plane, or where the speed does not change.
+    """The run-up of a tracked order of *channels*; standard errors sqrt(variance / 2) of the amplitude,
+    divided by |X| for the phase. x and y are those of the rig file; x must point along the load. Segments
+    whose speeds agree to SAME_SPEED are averaged to one point (stepped run). DataError without a plane, for a
+    plane of other than displacements, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
         raise DataError(f"recording '{name}' has no plane with two responses in known directions", hint=hint)
-    names = planes or tuple(plane.name for plane in track.planes)
-    if len(names) != len(track.planes):
-        what = f"recording '{name}' has {len(track.planes)} planes, {len(names)} are named"
-        raise DataError(what, hint=", ".join(names))
+    in_planes = {track.ports[column].channel for plane in track.planes for column in plane.columns}
+    for channel in channels:
+        if channel.name in in_planes and channel.quantity != "displacement":
+            what = f"channel '{channel.name}' of recording '{name}' reads {channel.quantity}"
+            raise DataError(what, hint="a run-up is of displacements: leave its direction out")
     response, deviation = _in_planes(track)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
@@ -217,7 +219,7 @@ def run_up_of(
         name,
         load,
         speed,
-        names,
+        tuple(plane.name for plane in track.planes),
         response,
         amplitude_error=deviation,
         phase_error=deviation / size,

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.run_ups.amplitudes import SpeedwiseFit
@@ -29,6 +29,7 @@ from labpipe.methods.run_ups.rotor import FilmFamily, RunUpRotor
 # Relative difference below which two loads are the same.
 SAME_LOAD = 1e-6
 TERMS = ("1", "load", "speed", "load x speed", "load^2", "speed^2")
+NO_OTHER_LOAD = "there is no other load to fit"
 SURFACE_ARRAYS = ("beta", "inverse", "spread", "r2", "press", "total")
 
 
@@ -62,32 +63,28 @@ class Grid:
     @classmethod
     def of(cls, fits: Iterable[SpeedwiseFit]) -> Grid:
         """From one fit per load, such as a PointFit or an AmplitudeFit."""
-        parts = [(np.full(fit.speed.size, fit.load), fit.speed, fit.coefficients) for fit in fits]
-        if not parts:
-            raise DataError("there is no fit to make a metamodel of")
-        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return cls._joined((fit.load, fit.speed, fit.coefficients) for fit in fits)
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
         """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
         [rad/s].
         """
-        n, speed = np.size(speed), np.asarray(speed)
-        parts = [(np.full(n, load), speed, fit.coefficients(load, speed)[0]) for load in loads]
-        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return cls._joined((load, speed, fit.coefficients(load, speed)[0]) for load in loads)
+
+    @classmethod
+    def _joined(cls, parts: Iterable[tuple[float, FloatArray, FloatArray]]) -> Grid:
+        columns = [(np.full(speed.size, load), speed, eight) for load, speed, eight in parts]
+        return cls(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
     @property
     def loads(self) -> tuple[float, ...]:
         rising = np.sort(self.load)
         return tuple(rising[np.append(True, rising[1:] > rising[:-1] * (1 + SAME_LOAD))].tolist())
 
-    def only(self, load: float) -> Grid:
-        return self._where(np.abs(self.load / load - 1) <= SAME_LOAD)
-
-    def without(self, load: float) -> Grid:
-        return self._where(np.abs(self.load / load - 1) > SAME_LOAD)
-
-    def _where(self, chosen: BoolArray) -> Grid:
+    def at(self, load: float, others: bool = False) -> Grid:
+        """The points of a *load* [N], or all *others*."""
+        chosen = (np.abs(self.load / load - 1) > SAME_LOAD) == others
         return Grid(self.load[chosen], self.speed[chosen], self.eight[chosen])
 
 
@@ -293,7 +290,7 @@ def physical_without(
     def refitted(load: float) -> PhysicalFit:
         training = [run for run in runs if abs(run.load / load - 1) > SAME_LOAD]
         if not training:
-            raise FitError("there is no other load to fit")
+            raise FitError(NO_OTHER_LOAD)
         speeds = (min(float(run.speed[0]) for run in training), max(float(run.speed[-1]) for run in training))
         return PhysicalFit.of(fit_jointly(rig, training, known=known), speeds)
 

@@ -26,7 +26,7 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.run_ups import metamodel_kinds
-from labpipe.methods.run_ups.joint import LOAD_SLACK
+from labpipe.methods.run_ups.joint import outside
 from labpipe.methods.run_ups.measured import column
 from labpipe.methods.run_ups.records import LeftOut
 from labpipe.methods.run_ups.rotor import TabulatedCoefficients, coefficient_errors
@@ -270,7 +270,7 @@ def fit_network(
     return Network(extent, tuple(trained), middle, deviation, seed, converged)
 
 
-# Fit functions by name, each of a grid and a seed.
+# Fit functions by name, each of a grid and a seed; ConfigError where a package is not installed.
 METAMODELS: dict[str, Callable[[metamodel_kinds.Grid, int], Metamodel]] = {
     "surface": metamodel_kinds.fit_surface,
     "process": fit_process,
@@ -303,15 +303,6 @@ class Metamodel(TabulatedCoefficients, Protocol):
     def to_entries(self) -> dict[str, Any]: ...
 
 
-def fit_metamodel(kind: str, grid: metamodel_kinds.Grid, seed: int = 0) -> Metamodel:
-    """One of METAMODELS on a grid. ConfigError with the nearest name on a miss, or where a package is not
-    installed.
-    """
-    if kind not in METAMODELS:
-        raise ConfigError(f"no metamodel '{kind}'", hint=nearest(kind, METAMODELS))
-    return METAMODELS[kind](grid, seed)
-
-
 def from_entries(entries: Mapping[str, Any]) -> Metamodel:
     """The metamodel of its `to_entries`; DataError where they are not those of one."""
     kind = entries.get("kind") if isinstance(entries, Mapping) else None
@@ -331,18 +322,16 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
 
 def caution(model: Metamodel, load: float) -> str:
     """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
-    low, high = model.extent.loads
-    if low * (1 - LOAD_SLACK) <= load <= high * (1 + LOAD_SLACK):
-        return ""
-    scope = (
-        "its error is valid under its assumptions only"
-        if model.kind in ("physical", "process")
-        else "its error does not cover extrapolation"
-    )
-    return (
-        f"{load:.3g} N lies outside the loads of this metamodel ({low:.3g} to {high:.3g} N), an "
-        f"extrapolation: {scope}"
-    )
+    beyond, scope = outside(load, *model.extent.loads, "this metamodel"), "does not cover extrapolation"
+    if model.kind in ("physical", "process"):
+        scope = "is valid under its assumptions only"
+    return beyond and f"{beyond}, an extrapolation: its error {scope}"
+
+
+def _without(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) -> Metamodel:
+    if len(grid.loads) < 2:
+        raise FitError(metamodel_kinds.NO_OTHER_LOAD)
+    return METAMODELS[kind](grid.at(load, others=True), seed)
 
 
 def leave_one_load_out(
@@ -359,16 +348,15 @@ def leave_one_load_out(
         kind: [] for kind in (*kinds, *([metamodel_kinds.PhysicalFit.kind] if physical else []))
     }
     for load in grid.loads:
-        training = grid.without(load) if len(grid.loads) > 1 else grid
-        fits = {kind: partial(fit_metamodel, kind, training, seed) for kind in kinds}
+        fits = {kind: partial(_without, grid, load, kind, seed) for kind in kinds}
         if physical is not None:
             fits[metamodel_kinds.PhysicalFit.kind] = partial(physical, load)
-        outside, points = load in (grid.loads[0], grid.loads[-1]), grid.only(load)
+        is_end, points = load in (grid.loads[0], grid.loads[-1]), grid.at(load)
         for kind, fitted in fits.items():
             errors, failed = np.full(8, np.nan), ""
             try:
                 errors = coefficient_errors(fitted().predict(points.load, points.speed), points.eight)
             except FitError as error:
                 failed = error.what
-            rows[kind].append(LeftOut(load, column(errors), outside, failed))
+            rows[kind].append(LeftOut(load, column(errors), is_end, failed))
     return rows

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_tail
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.rotor.rig import Unbalance
@@ -53,17 +53,14 @@ class AtLoad:
 
 def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
     """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
-    file_unbalance = rig.known_unbalance
-    same = run.shaker is not None or (
-        run.unbalance.keys() == file_unbalance.keys()
-        and all(
-            abs(size - file_unbalance[plane]) <= 1e-9 * abs(size) for plane, size in run.unbalance.items()
-        )
+    known, sizes = rig.known_unbalance, run.unbalance
+    same = known.keys() == sizes.keys() and all(
+        abs(size - known[plane]) <= 1e-9 * abs(size) for plane, size in sizes.items()
     )
-    if same:
+    if same or run.shaker is not None:
         return rig
     amounts = tuple(
-        Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in run.unbalance.items()
+        Unbalance(rig.node(plane), abs(size), float(np.angle(size))) for plane, size in sizes.items()
     )
     return replace(rig, unbalances=amounts)
 
@@ -157,11 +154,8 @@ def fit_points(
     rig: RunUpRotor, runs: Iterable[records.RunUp], bound: float = BOUND, ridge: float = RIDGE
 ) -> list[PointFit]:
     """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
-    ConfigError unless positive. Equation (run-points).
+    Equation (run-points).
     """
-    if not (bound > 0 and ridge > 0):
-        hint = "for example 30 % and 15 %"
-        raise ConfigError("bound and ridge of the coefficients are positive", hint=hint)
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]
 
 
@@ -277,11 +271,8 @@ class Solved:
     anywhere: Queried | None = None
 
 
-def solve_start(
-    rig: RunUpRotor,  # noqa: ARG001 (one signature for the table)
-    trained: Sequence[records.RunUp],  # noqa: ARG001
-    settings: RunUpSettings,  # noqa: ARG001
-) -> Solved:
+def start() -> Solved:
+    """The rotor file's bearing, without a fit."""
 
     def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
         return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
@@ -333,7 +324,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: Ru
 def solve_joint(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
     method = joint_method("joint", "(c) joint physical fit", fit)
-    return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
+    return Solved(method, _joint_at(fit), anywhere=fit)
 
 
 def solve_process(
@@ -350,7 +341,7 @@ def solve_process(
         remarks=(f"{fit.statement}.",),
         **_of_fit(fit),
     )
-    return Solved(method, _joint_at(fit, fit.rejected), anywhere=fit)
+    return Solved(method, _joint_at(fit), anywhere=fit)
 
 
 def joint_method(name: str, title: str, fit: JointFit) -> records.RunUpMethod:
@@ -417,7 +408,7 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
     )
 
 
-def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
+def _joint_at(fit: JointFit | ProcessFit) -> Predictor:
     """Predictions at any load, without errors for a fit that chi-square rejects."""
 
     def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
@@ -425,7 +416,7 @@ def _joint_at(fit: JointFit | ProcessFit, rejected: bool) -> Predictor:
         eight, error = fit.coefficients(run.load, run.speed)
         caution = fit.caution(run.load)
         notes = (caution,) if caution else ()
-        if rejected:
+        if fit.rejected:
             return AtLoad(fit.at_load(run.load), eight, notes=(WITHOUT_INTERVAL, *notes))
         return AtLoad(
             fit.at_load(run.load),

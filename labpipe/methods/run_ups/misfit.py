@@ -38,15 +38,9 @@ class ExcitedRun:
         """Real equations per speed."""
         return 4 * len(self.run.planes)
 
-    def residual(self, coefficients: FloatArray) -> FloatArray:
-        """(computed - measured) / standard error, (n_speed, n_equation); *coefficients* (n_speed, 8) [N/m, N
-        s/m]. Equation (run-weights).
-        """
-        return self._weight(self.condensed.response(*as_matrices(coefficients)) - self._measured)
-
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """`residual` [-] and its derivatives (n_speed, n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N
-        s/m].
+        """(computed - measured) / standard error, (n_speed, n_equation), and its derivatives (n_speed,
+        n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N s/m]. Equation (run-weights).
         """
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         weighted = self._weight(np.moveaxis(slopes, -1, 0))

@@ -19,10 +19,12 @@ from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
 from labpipe.methods.run_ups.measured import run_up_of
+from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
+from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Setting, parse_phasor, to_band
 from labpipe.report import chart
@@ -199,16 +201,26 @@ class Clearance:
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """An order over a run, and in forward and backward circles for every plane with two responses in known
-    directions. *quantity*: what the responses are, empty where they differ; *clearance*: gap that orbits are
-    compared with, if any.
+    """An order over a run of *channels*, and in forward and backward circles for every plane with two
+    responses in known directions. *clearance*: gap that orbits are compared with, if any.
     """
 
     name: str
+    channels: tuple[Channel, ...]
     track: OrderTrack
     circles: tuple[OrderTrack, ...]
-    quantity: str
     clearance: Clearance | None = None
+
+    @property
+    def probes(self) -> tuple[tuple[str, str], ...]:
+        """Name and quantity of every response."""
+        return tuple((c.name, c.quantity) for c in self.channels if c.role == "output")
+
+    @property
+    def quantity(self) -> str:
+        """What the responses are, empty where they differ."""
+        quantities = {quantity for _, quantity in self.probes}
+        return quantities.pop() if len(quantities) == 1 else ""
 
     @property
     def speeds(self) -> FloatArray:
@@ -224,25 +236,25 @@ def track_run(
     revolutions: int,
     output: OutputFolder,
     clearance: Clearance | None = None,
+    suffix: str = "",
 ) -> TrackedRun:
-    """The order of a raw file (with its rig) or of a calibrated recording. ConfigError for a gap where no
-    plane moves in it.
+    """The order of a raw file (with its rig), its recording written with a *suffix*, or of a calibrated
+    recording. ConfigError for a gap where no plane moves in it.
     """
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", source, "add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
-    recording = ingest(source, rig or Rig("", ()), output, source.stem, Path.cwd())
+    recording = ingest(source, rig or Rig("", ()), output, f"{source.stem}{suffix}", Path.cwd())
     track = track_order(recording, lines, order=order, revolutions=revolutions)
     circles = tuple(plane_track(track, plane) for plane in track.planes)
-    quantities = {channel.quantity for channel in recording.channels if channel.role == "output"}
-    quantity = quantities.pop() if len(quantities) == 1 else ""
-    if clearance is not None and (quantity != "displacement" or not circles):
+    run = TrackedRun(recording.name, tuple(recording.channels), track, circles, clearance)
+    if clearance is not None and (run.quantity != "displacement" or not circles):
         hint = "two displacements in known directions (dof: x and y, or front.x and front.y) are needed"
         raise ConfigError("--gap: no orbit to hold against the gap", source, hint)
-    return TrackedRun(recording.name, track, circles, quantity, clearance)
+    return run
 
 
-def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
+def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFolder) -> list[str]:
     _write_table(run, output.write_path("orders.csv"))
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
     for circles in run.circles:
@@ -252,21 +264,31 @@ def write_tracked(run: TrackedRun, output: OutputFolder) -> list[str]:
     if run.clearance is not None:
         gap, limit = run.clearance.gap, run.clearance.limit
         figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, gap, limit)
-    for name, figure in figures.items():
-        output.write_path(name).write_text(svg_file(figure), encoding="utf-8")
-    return ["orders.csv", *figures]
+    entries = {}
+    if verdict is not None:
+        entries["judgement.json"] = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
+        figures["judgement.svg"] = judged_figure(run.name, verdict, run.quantity)
+    texts = entries | {name: svg_file(figure) for name, figure in figures.items()}
+    for name, text in texts.items():
+        output.write_path(name).write_text(text, encoding="utf-8")
+    return ["orders.csv", *texts]
 
 
-def write_run_up(run: TrackedRun, path: Path, load: float, unbalance: Mapping[str, complex]) -> int:
-    """The order 1 of every plane as a run-up table, complete or absent; the number of its speeds. ConfigError
-    for another order.
-    """
-    if run.track.order != 1:
-        raise ConfigError(f"a run-up is of order 1, not {run.track.order:g}", hint="leave --order out")
-    table = run_up_of(run.track, run.name, load, unbalance)
+def run_up_table(run: TrackedRun, load: float, unbalance: Mapping[str, complex]) -> RunUp:
+    """The order 1 of every plane; ConfigError for a plane without a name."""
+    if any(not plane.name for plane in run.track.planes):
+        hint = "dof: disc1.x and dof: disc1.y in the rig file"
+        raise ConfigError("--save-run-up: the plane of the responses has no name", hint=hint)
+    return run_up_of(run.track, run.channels, run.name, load, unbalance)
+
+
+def write_run_up(table: RunUp, path: Path) -> str:
+    """Write a run-up table, complete or absent; what is in it."""
     with output_file(path) as target:
         write_run_up_csv(target, table)
-    return table.n_speed
+    text = f"{path}, {table.n_speed} speeds"
+    sources = dict.fromkeys(error.uncertainty.source for error in table.uncertainties)
+    return f"{text}, without the uncertainties of {', '.join(sources)}" if sources else text
 
 
 def order_lines(run: TrackedRun) -> Iterator[str]:
@@ -289,7 +311,8 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
         peak, beyond = int(np.argmax(orbit)), np.flatnonzero(orbit > share * gap)
         verdict = f"within {limit} at all speeds"
         if beyond.size:
-            verdict = f"beyond {limit} from {run.speeds[beyond[0]]:.4g} rpm on"
+            low, high = run.speeds[beyond].min(), run.speeds[beyond].max()
+            verdict = f"beyond {limit} at speeds from {low:.4g} to {high:.4g} rpm"
         largest = f"{factor * orbit[peak]:.4g} {unit} = {100 * orbit[peak] / gap:.3g} % of the gap"
         yield f"{plane.name:<8} largest orbit {largest} at {run.speeds[peak]:.4g} rpm: {verdict}"
 
@@ -350,33 +373,32 @@ def track_and_write(
     baseline: Path | None = None,
     centreline: bool = False,
 ) -> int:
-    if not 0 < order < np.inf:
-        raise ConfigError("--order must be positive")
-    bands = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
+    slow, operating = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
+    is_judged, is_saved = any((slow, operating, baseline)), save_run_up is not None
+    _check_options(order, is_judged, is_saved, load, unbalance)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
-    conditions = None if save_run_up is None else _run_conditions(load, unbalance)
+    conditions = _run_conditions(load, unbalance) if is_saved else None
+    added = _stated_unbalance(unbalance, baseline is not None)
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
-        names = write_tracked(run, folder)
+        table = None if conditions is None else run_up_table(run, *conditions)
         others = None
         if baseline is not None:
-            others = track_run(baseline, rig, lines, order, revolutions, folder).track
+            before = track_run(baseline, rig, lines, order, revolutions, folder, suffix="-baseline")
+            if before.probes != run.probes:
+                hint = "record both with one rig"
+                raise ConfigError("--baseline: its responses are not those of the run", baseline, hint)
+            others = before.track
         verdict = None
-        if any((*bands, baseline)):
-            added = _stated_unbalance(unbalance, baseline is not None)
-            slow, operating = bands
+        if is_judged:
             verdict = judge(
                 run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
             )
-            entry = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
-            figure = svg_file(judged_figure(run.name, verdict, run.quantity))
-            for name, text in {"judgement.json": entry, "judgement.svg": figure}.items():
-                folder.write_path(name).write_text(text, encoding="utf-8")
-                names.append(name)
-        speeds = 0
-        if save_run_up is not None and conditions is not None:
-            speeds = write_run_up(run, save_run_up, *conditions)
+        names = write_tracked(run, verdict, folder)
+        saved = ""
+        if save_run_up is not None and table is not None:
+            saved = f"; {write_run_up(table, save_run_up)}"
     code = 0 if verdict is None or verdict.accepted else 1
     if quiet:
         return code
@@ -385,8 +407,22 @@ def track_and_write(
     judged = () if verdict is None else judgement_lines(verdict, run.quantity)
     for row in (*order_lines(run), *(_centreline(run) if centreline else ()), *judged):
         echo(f"  {row}")
-    echo(f"written to {output}: {', '.join(names)}" + (f"; {save_run_up}, {speeds} speeds" if speeds else ""))
+    echo(f"written to {output}: {', '.join(names)}{saved}")
     return code
+
+
+def _check_options(
+    order: float, is_judged: bool, is_saved: bool, load: str | None, unbalance: tuple[str, ...]
+) -> None:
+    if not 0 < order < np.inf:
+        raise ConfigError("--order must be positive")
+    if order != 1 and (is_judged or is_saved):
+        raise ConfigError(f"a run-up is of order 1, not {order:g}", hint="leave --order out")
+    if load is not None and not is_saved:
+        raise ConfigError("--load belongs to --save-run-up", hint="leave it out")
+    if unbalance and not (is_judged or is_saved):
+        hint = "--save-run-up, --slow-roll, --speed-range or --baseline"
+        raise ConfigError("--unbalance belongs to a table or a judgement", hint=hint)
 
 
 def _band(option: str, text: str | None) -> tuple[float, float] | None:
@@ -417,6 +453,7 @@ def _stated_unbalance(texts: tuple[str, ...], since: bool) -> float:
 
 def _centreline(run: TrackedRun) -> Iterator[str]:
     """How far the mean position moved in every plane from the lowest to the highest speed."""
+    unit, factor = _unit(run.quantity)
     first, last = int(np.argmin(run.track.speed)), int(np.argmax(run.track.speed))
     for circles in run.circles:
         (plane,) = circles.planes
@@ -425,7 +462,7 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
         if run.clearance is not None:
             share = f", {100 * moved / run.clearance.gap:.3g} % of the gap"
         yield (
-            f"{plane.name:<8} centreline moved by {to_display(moved, 'um'):.4g} um at "
+            f"{plane.name:<8} centreline moved by {factor * moved:.4g} {unit} at "
             f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
             f"{run.speeds[last]:.4g} rpm{share}"
         )
@@ -502,11 +539,9 @@ def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
 
 def _clearance(gap: str | None, limit: str) -> Clearance | None:
     share, length = _value("--limit", limit, "1"), _value("--gap", gap, "m")
-    if length is None or share is None:
-        return None
-    if length <= 0 or share <= 0:
+    if any(number is not None and number <= 0 for number in (share, length)):
         raise ConfigError("--gap and --limit must be positive")
-    return Clearance(length, share)
+    return None if length is None or share is None else Clearance(length, share)
 
 
 def _value(option: str, text: str | None, unit: str) -> float | None:

@@ -169,8 +169,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
-        speed = np.asarray(speed, np.float64)
-        eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        eight, slopes = self.with_slopes(load, speed)
         variance = np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)
         beyond = np.diagonal(self.model.field.unexplained(places_of(load, speed)))[:, None] * eight**2
         of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
@@ -219,7 +218,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
         """Error of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
-        eight, slopes = self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
+        eight, slopes = self.with_slopes(load, speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
         beyond = np.einsum(

@@ -138,6 +138,8 @@ class RunUp:
 TRAINED, HELD_OUT = "trained", "held-out"
 # Verdict of a method whose family chi-square rejects: its speeds are values without an interval.
 REJECTED = "rejected"
+# Words of the notes on an extrapolated load.
+OUTSIDE = "outside the loads"
 # Name of the model without a fit: the rotor file's bearing.
 START = "start"
 # Two-sided 95 % of a normal distribution.
@@ -377,13 +379,6 @@ class RunUpResult:
 
     def method(self, name: str) -> RunUpMethod | None:
         return next((method for method in self.methods if method.name == name), None)
-
-    def run(self, name: str) -> MeasuredRun:
-        """KeyError with the known names on a miss."""
-        for run in self.runs:
-            if run.name == name:
-                return run
-        raise KeyError(f"no run '{name}'; known: {', '.join(run.name for run in self.runs)}")
 
 
 def findings(result: RunUpResult) -> tuple[tuple[str, Finding], ...]:

@@ -45,15 +45,8 @@ def rpm_text(amount: records.Amount | None) -> str:
 def _measured_row(run: records.MeasuredRun) -> tuple[str, ...]:
     speeds = f"{len(run.speed)} from {figures.RPM * run.speed[0]:.0f} to {figures.RPM * run.speed[-1]:.0f}"
     excitation = run.excitation + (f"; '{run.subtracted}' subtracted" if run.subtracted else "")
-    return (
-        run.name,
-        f"{run.load:.4g}",
-        run.role,
-        excitation,
-        speeds,
-        rpm_text(run.critical_speed),
-        rpm_text(run.threshold),
-    )
+    found = (rpm_text(speed) for speed in (run.critical_speed, run.threshold))
+    return (run.name, f"{run.load:.4g}", run.role, excitation, speeds, *found)
 
 
 def speed_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
@@ -92,20 +85,15 @@ def _speed_table(
 
 def _heading(column: records.RunUpMethod | records.MetamodelResult) -> str:
     name = SHORT.get(column.name, column.name)
-    return (
-        f"{name}, {records.REJECTED}"
-        if isinstance(column, records.RunUpMethod) and column.verdict == records.REJECTED
-        else name
-    )
+    rejected = getattr(column, "verdict", "") == records.REJECTED
+    return f"{name}, {records.REJECTED}" if rejected else name
 
 
 def _runs_with(result: records.RunUpResult, item: str) -> list[records.MeasuredRun]:
     selected: list[records.MeasuredRun] = []
     for run in result.runs:
-        predictions = [method.prediction(run.name) for method in result.methods]
-        predicted = any(
-            getattr(prediction, item) is not None for prediction in predictions if prediction is not None
-        )
+        predictions = (method.prediction(run.name) for method in result.methods)
+        predicted = any(getattr(prediction, item, None) is not None for prediction in predictions)
         again = item == "threshold" and any(run.load == other.load for other in selected)
         if getattr(run, item) is not None or (predicted and not again):
             selected.append(run)
@@ -113,10 +101,8 @@ def _runs_with(result: records.RunUpResult, item: str) -> list[records.MeasuredR
 
 
 def _run_name(run: records.MeasuredRun) -> str:
-    role = (
-        f", {records.HELD_OUT}" if run.role == records.HELD_OUT and records.HELD_OUT not in run.name else ""
-    )
-    return f"{run.name}, {run.load:.4g} N{role}".replace(" N", f"{FIXED}N")
+    said = run.role != records.HELD_OUT or records.HELD_OUT in run.name
+    return f"{run.name}, {run.load:.4g} N{'' if said else f', {run.role}'}".replace(" N", f"{FIXED}N")
 
 
 def _speed_text(prediction: records.RunPrediction | None, item: str, measured: records.Amount | None) -> str:
@@ -150,12 +136,10 @@ def both_differences(predicted: float, measured: float) -> str:
 def _printed_table(result: records.RunUpResult, item: str, title: str) -> list[Block]:
     rows = []
     for run in result.runs:
-        printed = getattr(run, f"printed_{item}")
-        if not printed:
-            continue
-        measured, *others = (60 * value for value in printed)
-        shown = (f"{value:.6g}: {both_differences(value, measured)}" for value in others)
-        rows.append((_run_name(run), f"{measured:.6g}", *shown))
+        printed = [60 * value for value in getattr(run, f"printed_{item}")]
+        if printed:
+            shown = (f"{value:.6g}: {both_differences(value, printed[0])}" for value in printed[1:])
+            rows.append((_run_name(run), f"{printed[0]:.6g}", *shown))
     if not rows:
         return []
     caption = (
@@ -167,21 +151,12 @@ def _printed_table(result: records.RunUpResult, item: str, title: str) -> list[B
 
 def uncertainty_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     fitted = [method for method in result.methods if method.rank is not None]
-    header = (
-        "method",
-        "verdict",
-        "rank",
-        "condition",
-        "at a bound",
-        "data",
-        "effective parameters",
-        "chi² per datum",
-    )
+    titles = "method,verdict,rank,condition,at a bound,data,effective parameters,chi² per datum"
     rows = tuple(_uncertainty_row(method) for method in fitted)
     caption = (
         "Identifiability by method; rank and condition of (a) and (b): the worst point of eight unknowns each"
     )
-    blocks: list[Block] = [Table(header, rows, caption, (3, 4, 5, 6))]
+    blocks: list[Block] = [Table(tuple(titles.split(",")), rows, caption, (3, 4, 5, 6))]
     for method in fitted:
         remarks = list(method.remarks)
         if method.free:
@@ -212,12 +187,8 @@ def _rank_blocks(result: records.RunUpResult) -> list[Block]:
         return []
     place = f"{result.rank_load:.3g} N and {figures.RPM * result.rank_speed:.0f} rpm"
     rows = tuple((row.data, f"{row.rank} of 8", f"{row.condition:.3g}", row.words) for row in result.ranks)
-    table = Table(
-        ("data", "rank", "condition", "measured combinations"),
-        rows,
-        f"Rank of the eight coefficients by kind of data, at {place}",
-        (1, 2),
-    )
+    caption = f"Rank of the eight coefficients by kind of data, at {place}"
+    table = Table(("data", "rank", "condition", "measured combinations"), rows, caption, (1, 2))
     blocks: list[Block] = [table, Paragraph(f"Advice: {ADVICE_WORDS}", "note")]
     rank = result.measured_rank
     if rank is not None and rank.free:
@@ -235,14 +206,14 @@ def parameter_table(method: records.RunUpMethod) -> Table:
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
         value, error, *ends = written(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
-        rows.append((parameter.name, kind, value, error or "none", " to ".join(ends) or "at bound"))
+        interval = " to ".join(ends) or ("at bound" if parameter.at_bound else "none")
+        rows.append((parameter.name, kind, value, error or "none", interval))
     caption = (
         f"{method.title}: posterior values with their standard deviations, as factors on the rotor "
         "file's bearing"
     )
-    return Table(
-        ("parameter", "kind", "value", "std. deviation", "95 % interval"), tuple(rows), caption, (2, 3, 4)
-    )
+    header = ("parameter", "kind", "value", "std. deviation", "95 % interval")
+    return Table(header, tuple(rows), caption, (2, 3, 4))
 
 
 def coefficient_table(method: records.RunUpMethod, run: records.MeasuredRun) -> Table | None:
@@ -290,18 +261,14 @@ def validation_table(models: Sequence[records.MetamodelResult]) -> Table:
         f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to "
         "the others"
     )
-    return Table(
-        ("metamodel", "load [N]", "of the others", *COEFFICIENTS, "all"),
-        tuple(rows),
-        caption,
-        tuple(range(3, 12)),
-    )
+    header = ("metamodel", "load [N]", "of the others", *COEFFICIENTS, "all")
+    return Table(header, tuple(rows), caption, tuple(range(3, 12)))
 
 
 FRAME = (
     "x lies along the static load, y a quarter turn further with the spin. The critical speed is that of "
-    "the largest displacement on the "
-    "orbit, read between the measured speeds; the threshold is the onset speed of instability."
+    "the largest displacement on the orbit, read between the measured speeds; the threshold is the onset "
+    "speed of instability."
 )
 
 
@@ -334,15 +301,7 @@ def _measured_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     method = figures.best_method(result)
     description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [figures.cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
-    header = (
-        "run",
-        "load [N]",
-        "role",
-        "known unbalance or force",
-        "speeds [rpm]",
-        "critical speed [rpm]",
-        "threshold [rpm]",
-    )
+    titles = "run,load [N],role,known unbalance or force,speeds [rpm],critical speed [rpm],threshold [rpm]"
     rows = tuple(_measured_row(run) for run in result.runs)
     caption = (
         f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
@@ -350,7 +309,7 @@ def _measured_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     )
     return (
         Paragraph(description),
-        Table(header, rows, caption, (1, 5, 6)),
+        Table(tuple(titles.split(",")), rows, caption, (1, 5, 6)),
         figures.polar_figure(result, method),
         figures.orbit_figure(result, method),
         *cascades,
@@ -363,7 +322,7 @@ def _cautions(result: records.RunUpResult) -> tuple[Block, ...]:
     return tuple(
         Paragraph(
             f"{text} ({', '.join(runs)}).",
-            "warning" if held_out & set(runs) and "outside the loads" in text else "note",
+            "warning" if held_out & set(runs) and records.OUTSIDE in text else "note",
         )
         for text, runs in notes.items()
     )

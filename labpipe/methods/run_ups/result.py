@@ -17,7 +17,7 @@ from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
 from labpipe.methods.run_ups.joint import JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
 from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
-from labpipe.methods.run_ups.metamodels import Metamodel, caution, fit_metamodel, leave_one_load_out
+from labpipe.methods.run_ups.metamodels import METAMODELS, Metamodel, caution, leave_one_load_out
 from labpipe.methods.run_ups.methods import (
     BEYOND,
     AtLoad,
@@ -25,7 +25,7 @@ from labpipe.methods.run_ups.methods import (
     Solved,
     excited_as,
     predict,
-    solve_start,
+    start,
     with_unbalance_of,
 )
 from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
@@ -104,7 +104,7 @@ def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
         if name == "physical":
             assert isinstance(joint, JointFit)
             return PhysicalFit.of(joint, Extent.of(grid).speeds)
-        return fit_metamodel(KINDS[name][0], grid, seed)
+        return METAMODELS[KINDS[name][0]](grid, seed)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, metamodel {name}"
         raise
@@ -134,8 +134,8 @@ def run_up_result(
     runs = [item.run for item in read]
     rig = excited_as(searched_over(rig, runs), runs)
     trained = [item.run for item in read if item.settings.role == records.TRAINED]
-    solved = []
-    for name in [records.START, *(name for name in METHODS if name in settings.methods)]:
+    solved = [start()]
+    for name in (name for name in METHODS if name in settings.methods):
         tell(f"run-ups   {name}")
         solved.append(_solve(name, rig, trained, settings))
     methods = []
@@ -168,18 +168,17 @@ def run_up_result(
 
 def _solve(name: str, rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     try:
-        solve = solve_start if name == records.START else METHODS[name]
-        return solve(rig, trained, settings)
+        return METHODS[name](rig, trained, settings)
     except LabpipeError as error:
         error.where = error.where or f"run_ups, method {name}"
         raise
 
 
 def prediction(
-    predictor: Predictor, rig: RunUpRotor, run: records.RunUp, plane: str, curves: bool = True
+    predictor: Predictor, rig: RunUpRotor, run: records.RunUp, plane: str
 ) -> records.RunPrediction:
     run_rig = with_unbalance_of(rig, run)
-    return predict(run_rig, run, predictor(run_rig, run), plane, curves)
+    return predict(run_rig, run, predictor(run_rig, run), plane)
 
 
 def _bearing_text(rig: RunUpRotor) -> str:
@@ -234,7 +233,9 @@ def _uncertainties(method: records.RunUpMethod, runs: Sequence[records.MeasuredR
         findings.append(Finding("at-bound", message))
     jointly = method.verdict in ("rejected", "not rejected")
     for run in runs if jointly else ():
-        notes = getattr(method.prediction(run.name), "notes", ())
+        notes = [
+            note for note in getattr(method.prediction(run.name), "notes", ()) if records.OUTSIDE in note
+        ]
         if run.role == records.HELD_OUT and notes:
             findings.append(Finding("extrapolated", f"{method.title}, {run.name}: {'; '.join(notes)}."))
     return findings

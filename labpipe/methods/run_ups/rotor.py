@@ -45,7 +45,7 @@ from labpipe.methods.rotor.pinned import (
 )
 from labpipe.methods.rotor.rig import BearingPlace, Unbalance
 from labpipe.methods.rotor.shaft import Rotor
-from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
+from labpipe.methods.run_ups.records import MeasuredRun, RunUp, Shaker
 from labpipe.registry import nearest
 
 COEFFICIENTS = ("k_xx", "k_xy", "k_yx", "k_yy", "c_xx", "c_xy", "c_yx", "c_yy")
@@ -332,9 +332,9 @@ class RunUpRotor:
             damping = np.stack([point.damping for point in points])
             return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
         curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
-        curve_values = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
-        return curve_values.stiffness * scale, curve_values.damping * scale / speed[..., None, None]
+        return found.stiffness * scale, found.damping * scale / speed[..., None, None]
 
     def start(self, load: float) -> CoefficientsAtSpeed:
         """`start_coefficients` as a function of speed."""
@@ -345,16 +345,13 @@ class RunUpRotor:
         outputs = self.condensed(speed, self.known_unbalance).response(*coefficients(speed))
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
-    def critical_speed(
-        self, coefficients: CoefficientsAtSpeed, plane: str = "", direction: str = ""
-    ) -> float:
+    def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "") -> float:
         """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known
-        unbalance. Of the orbit's major semi-axis, or of the amplitude in *direction* x or y. FitError without
-        a peak within the search.
+        unbalance. FitError without a peak within the search.
         """
-        number = [node for _, node in self.planes].index(self.node(plane)) if plane else -1
+        number = self.plane_names.index(plane) if plane else -1
         search = self.search.critical
-        grid = self._displacement(search, coefficients, direction)[:, number]
+        grid = largest_displacement(self.response(search, coefficients))[:, number]
         top = int(np.argmax(grid))
         if top in (0, grid.size - 1):
             hint = "look at the response over speed; speeds: in the rotor file sets the range"
@@ -362,18 +359,10 @@ class RunUpRotor:
         low, high = search[top - 1], search[top + 1]
         # Between three points of a smooth peak a fine grid and a parabola are exact to a millionth.
         fine = np.linspace(low, high, 41)
-        values = self._displacement(fine, coefficients, direction)[:, number]
+        values = largest_displacement(self.response(fine, coefficients))[:, number]
         middle = int(np.clip(np.argmax(values), 1, fine.size - 2))
         before, here, after = values[middle - 1 : middle + 2]
         return float(fine[middle] + (fine[1] - fine[0]) / 2 * (before - after) / (before - 2 * here + after))
-
-    def _displacement(
-        self, speed: FloatArray, coefficients: CoefficientsAtSpeed, direction: str
-    ) -> FloatArray:
-        response = self.response(speed, coefficients)
-        if direction:
-            return np.abs(response[..., DIRECTIONS.index(direction)])
-        return largest_displacement(response)
 
     def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
         """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
@@ -386,7 +375,7 @@ class RunUpRotor:
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
-def searched_over(rig: RunUpRotor, runs: Iterable[RunUp]) -> RunUpRotor:
+def searched_over(rig: RunUpRotor, runs: Iterable[RunUp | MeasuredRun]) -> RunUpRotor:
     """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
     if rig.speeds is not None:
         return rig

@@ -38,7 +38,7 @@ _COLUMN = re.compile(
     r"^(?P<plane>.+) (?P<direction>[xy]) (?P<what>amplitude|phase|amplitude error|phase error)\s*(\[.*\])?$"
 )
 _SPEED = re.compile(r"^speed\s*(\[.*\])?$")
-_LINE = re.compile(r"^#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
+_LINE = re.compile(r"^\s*#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
 _UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
 _SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P<plane>.+)$")
 UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
@@ -154,15 +154,11 @@ class _Reader:
 
     def errors(self, what: str, size: FloatArray, unit: str) -> FloatArray:
         """Columns of their own, else the number above the table times *size*."""
-        if any(quantity == what for _, _, quantity in self.columns):
-            return self.stack(what)
-        if what not in self.head:
-            hint = (
-                "give '# amplitude error: 1 %' and '# phase error: 1 deg' above the table; they weight the "
-                "fits"
-            )
-            raise self.fault(f"the {what} is missing", hint)
-        return size * self.value(what, unit)
+        in_columns = any(quantity == what for _, _, quantity in self.columns)
+        if in_columns == (what in self.head):
+            hint = "'# amplitude error: 1 %' and '# phase error: 1 deg' above the table, or columns of them"
+            raise self.fault(f"the {what} is {'stated twice' if in_columns else 'missing'}", hint)
+        return self.stack(what) if in_columns else size * self.value(what, unit)
 
     def value(self, key: str, unit: str) -> float:
         if key not in self.head:
@@ -218,16 +214,17 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
         io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines,
     ):
         for number, line in enumerate(lines, 1):
-            if not line.startswith("#"):
+            if line.strip() and not line.lstrip().startswith("#"):
                 break
             match = _LINE.match(line)
             if match is None:
                 continue
             key, where = match["key"], f"{path}:{number}"
             if key not in KEYS and not key.startswith("unbalance "):
-                names = (*KEYS, "unbalance PLANE")
-                if difflib.get_close_matches(key.lower(), names, 1, 0.75):
-                    raise DataError(f"unknown entry '{key}'", where, nearest(key, names))
+                if difflib.get_close_matches(key.lower(), KEYS, 1, 0.75):
+                    raise DataError(f"unknown entry '{key}'", where, nearest(key, KEYS))
+                if difflib.get_close_matches(key.split()[0].lower(), ["unbalance"], 1, 0.85):
+                    raise DataError(f"unknown entry '{key}'", where, "for example '# unbalance disc 1: ...'")
                 continue
             if key in entries:
                 raise DataError(f"'{key}' appears twice", where)
@@ -258,7 +255,7 @@ def write_run_up_csv(path: Path, run: RunUp) -> None:
             if phase is None:
                 columns[f"{title} phase error [deg]"] = np.degrees(run.phase_error[:, n, d])
     with path.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.writelines(f"# {line}\n" for line in _lines(run))
+        stream.writelines(f"# {line}\n" for line in _lines(run, relative, phase))
         stream.write(",".join(columns) + "\n")
         np.savetxt(stream, np.stack(list(columns.values()), 1), "%.6g", delimiter=",")
 
@@ -269,8 +266,7 @@ def _common_errors(run: RunUp) -> tuple[float | None, float | None]:
     return constants[0], constants[1]
 
 
-def _lines(run: RunUp) -> list[str]:
-    relative, phase = _common_errors(run)
+def _lines(run: RunUp, relative: float | None, phase: float | None) -> list[str]:
     lines = [f"load: {run.load:.9g} N"]
     for plane, size in run.unbalance.items():
         lines.append(f"unbalance {plane}: {abs(size) * 1e6:.9g} g.mm at {np.degrees(np.angle(size)):.9g} deg")
@@ -294,6 +290,6 @@ _RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)
 
 def run_up_in(path: Path) -> RunUp | None:
     """The run-up of a file, None where it is no run-up table."""
-    with path.open("rb") as stream:
-        head = stream.read(HEAD).decode("utf-8", "replace")
+    with path.open(encoding="utf-8-sig", errors="replace") as stream:
+        head = stream.read(HEAD)
     return read_run_up_csv(path) if _RUN_UP.search(head) else None

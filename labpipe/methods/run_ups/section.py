@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,11 +24,10 @@ from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.judging import CompareNumber, compare_covers, compare_warnings
 from labpipe.project.measured import file_stem, file_stems
 from labpipe.project.rules import Rule
-from labpipe.project.work import Work
 from labpipe.records.identification import RuleOutcome
 from labpipe.records.rig import Rig
 from labpipe.records.sections import PipelineSection
-from labpipe.records.uncertain import Uncertain
+from labpipe.records.uncertain import COURSES, Uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.orders import cascade_spectra, track_order
 from labpipe.spectra.settings import ShaftLines
@@ -37,6 +35,7 @@ from labpipe.spectra.settings import ShaftLines
 # Lines of a stored cascade, more than a figure can show.
 MOST_LINES = 240
 NO_UNCERTAINTIES = ProbeUncertainties()
+HZ = 1 / (2 * np.pi)
 
 
 def read_run(
@@ -77,7 +76,7 @@ def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
 def _statement(settings: RunSettings, run: records.RunUp) -> records.RunUp:
     threshold = run.threshold
     if settings.threshold is not None:
-        threshold = Uncertain(2 * np.pi * settings.threshold.value, 2 * np.pi * settings.threshold.std_error)
+        threshold = Uncertain(settings.threshold.value / HZ, settings.threshold.std_error / HZ)
     return replace(
         run,
         load=run.load if settings.load is None else settings.load,
@@ -94,9 +93,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
         residual = _open(settings.subtracted, f"{settings.name}-residual", settings, output, folder)
         # Nothing was added before the residual run, where the run has its weights.
         subtracted = _track(residual, lines, settings, dict.fromkeys(dict(settings.unbalance), 0j))
-        ends = subtracted.speed[[0, -1]]
-        inside = run.speed[(run.speed >= ends[0]) & (run.speed <= ends[1])]
-        run = difference(run, at_speeds(subtracted, inside))
+        run = difference(run, at_speeds(subtracted, run.speed))
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
 
 
@@ -113,33 +110,33 @@ def _track(
 ) -> records.RunUp:
     track = track_order(recording, lines, revolutions=settings.revolutions)
     assert settings.load is not None
-    run = run_up_of(track, settings.name, settings.load, unbalance)
+    run = run_up_of(track, recording.channels, settings.name, settings.load, unbalance)
     tacho = next(channel for channel in recording.channels if channel.name == settings.tacho)
-    turned = [effect.uncertainty for effect in tacho.uncertainties if effect.effect == "phase"]
-    of_keyphasor = [error for uncertainty in turned for error in turning(uncertainty, len(run.planes))]
-    return replace(run, uncertainties=(*run.uncertainties, *of_keyphasor))
+    # A pulse that is late makes every response early.
+    turned = [
+        turning(error.uncertainty, len(run.planes), -COURSES[error.effect][0], COURSES[error.effect][1])
+        for error in tacho.uncertainties
+        if error.effect in ("phase", "delay")
+    ]
+    return replace(run, uncertainties=(*run.uncertainties, *turned))
 
 
 def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[records.Cascade, ...]:
-    """Cascade of every response; groups of lines are reduced to their maximum, so that no peak is lost."""
+    """Cascade of every displacement; groups of lines are reduced to their maximum, so that no peak is
+    lost.
+    """
     spectra = cascade_spectra(recording, lines)
     group = -(-spectra.frequency.size // MOST_LINES)
     whole = spectra.frequency.size // group * group
     frequency = spectra.frequency[:whole].reshape(-1, group).mean(axis=1)
-    thinned = (
-        spectra.amplitude[:, :whole]
-        .reshape(spectra.amplitude.shape[0], -1, group, len(spectra.labels))
-        .max(axis=2)
-    )
-    places = column(spectra.speed), column(frequency)
+    lines_of = spectra.amplitude[:, :whole].reshape(len(spectra.speed), -1, group, len(spectra.labels))
+    thinned, places = lines_of.max(axis=2), (column(spectra.speed), column(frequency))
+    moved = {channel.name for channel in recording.channels if channel.quantity == "displacement"}
     return tuple(
         records.Cascade(label, *places, tuple(column(row) for row in thinned[:, :, number]))
         for number, label in enumerate(spectra.labels)
+        if label in moved
     )
-
-
-def run_run_ups(settings: RunUpSettings, work: Work) -> records.RunUpResult:
-    return identify_run_ups(settings, work.output, work.pipeline.folder, work.tell)
 
 
 def identify_run_ups(
@@ -158,17 +155,17 @@ def identify_run_ups(
 MEASURED = "measured"
 SPEEDS = ("critical_speed", "threshold")
 ATTRIBUTES = ("std_error", "covers", "difference")
-METHOD_VALUES: dict[str, Callable[[records.RunUpMethod], float | None]] = {
-    "rank": lambda method: None if method.rank is None else float(method.rank),
-    "condition_number": lambda method: method.condition,
-    "chi2_reduced": lambda method: method.chi2_per_datum,
-    "chi2_p": lambda method: method.chi2_p,
-    "share_at_bound": lambda method: method.share_at_bound,
+# Names in rules -> in the record of a method.
+METHOD_VALUES = {
+    "rank": "rank",
+    "condition_number": "condition",
+    "chi2_reduced": "chi2_per_datum",
+    "chi2_p": "chi2_p",
+    "share_at_bound": "share_at_bound",
 }
 _ADDRESS = re.compile(
     r"^(?P<method>[^.\[\]]+)(?:\[(?P<run>[^\]]*)\])?\.(?P<item>\w+)(?:\.(?P<attribute>\w+))?$"
 )
-HZ = 1 / (2 * np.pi)
 
 
 @dataclass(frozen=True)
@@ -198,7 +195,11 @@ def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: Comp
         selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
         outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
         return rule.outcome_of_all(outcomes)
-    return _of_method(rule, address, result, compare_number)
+    outcome = _of_method(rule, address, result, compare_number)
+    if address.run or address.attribute:
+        what = f"'{address.item}' is that of all runs, by itself"
+        raise rule.fault(what, f"write run_ups.{address.method}.{address.item}")
+    return outcome
 
 
 def _of_method(
@@ -217,7 +218,8 @@ def _of_method(
     if address.item not in METHOD_VALUES:
         hint = nearest(address.item, [*SPEEDS, *METHOD_VALUES, "verdict"])
         raise rule.fault(f"a method has no '{address.item}'", hint)
-    return rule.outcome(*compare_number(rule, METHOD_VALUES[address.item](predictor), "1"))
+    number: float | None = getattr(predictor, METHOD_VALUES[address.item])
+    return rule.outcome(*compare_number(rule, None if number is None else float(number), "1"))
 
 
 def _predictor(
@@ -245,15 +247,16 @@ def _attribute(
     amount: records.Amount | None,
     compare_number: CompareNumber,
 ) -> Compared:
-    if address.attribute == "covers":
-        interval = None if amount is None else amount.ci95
-        return compare_covers(rule, None if interval is None else (HZ * interval[0], HZ * interval[1]), "Hz")
     if address.attribute == "difference":
         measured: records.Amount | None = getattr(run, address.item)
         there = None if amount is None or measured is None else abs(amount.value / measured.value - 1)
         return compare_number(rule, there, "1")
-    value, error = (None, None) if amount is None else (HZ * amount.value, amount.std_error)
-    error = None if error is None else HZ * error
+    value = error = interval = None
+    if amount is not None:
+        error = None if amount.std_error is None else HZ * amount.std_error
+        value, interval = HZ * amount.value, records.Amount(HZ * amount.value, error).ci95
+    if address.attribute == "covers":
+        return compare_covers(rule, interval, "Hz")
     if address.attribute == "std_error":
         return compare_number(rule, error, "Hz")
     return compare_number(rule, value, "Hz", error)
@@ -261,11 +264,9 @@ def _attribute(
 
 def run_up_lines(result: records.RunUpResult) -> Iterator[str]:
     yield f"run-ups of {result.rotor}: critical speed / threshold [rpm]"
-    names = ["measured"]
-    for method in result.methods:
-        names.append(
-            f"{method.name} {records.REJECTED}" if method.verdict == records.REJECTED else method.name
-        )
+    rejected = {method.name for method in result.methods if method.verdict == records.REJECTED}
+    names = [method.name + f" {records.REJECTED}" * (method.name in rejected) for method in result.methods]
+    names.insert(0, MEASURED)
     yield f"  {'run':<12}{'load [N]':>9}" + "".join(f"{name:>17}" for name in names)
     for run in result.runs:
         columns = [run, *(method.prediction(run.name) for method in result.methods)]
@@ -278,16 +279,14 @@ def run_up_lines(result: records.RunUpResult) -> Iterator[str]:
 
 def _speeds(owner: records.MeasuredRun | records.RunPrediction | None) -> str:
     speeds = () if owner is None else (owner.critical_speed, owner.threshold)
-    return (
-        " / ".join("-" if speed is None else f"{speed.value * 30 / math.pi:.0f}" for speed in speeds) or "-"
-    )
+    return " / ".join("-" if speed is None else f"{60 * HZ * speed.value:.0f}" for speed in speeds) or "-"
 
 
 RUN_UPS = PipelineSection(
     words="Coefficients from unbalance run-ups.",
     settings=RunUpSettings,
     standalone=True,
-    run=run_run_ups,
+    run=lambda settings, work: identify_run_ups(settings, work.output, work.pipeline.folder, work.tell),
     record=records.RunUpResult,
     entry="run_ups",
     outcome=run_up_outcome,

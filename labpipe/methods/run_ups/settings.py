@@ -52,13 +52,13 @@ class ProbeUncertainties:
                         )
                     )
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
-            errors.extend(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
+            errors.append(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
         return tuple(errors)
 
 
-def turning(uncertainty: Uncertainty, n_plane: int) -> tuple[ProbeError, ...]:
-    """The error of the keyphasor's angle, which turns all phasors alike."""
-    return (ProbeError(uncertainty, np.tile(1j * np.eye(2), (n_plane, 1, 1))),)
+def turning(uncertainty: Uncertainty, n_plane: int, slope: complex = 1j, power: int = 0) -> ProbeError:
+    """The error of the keyphasor, which turns all phasors alike."""
+    return ProbeError(uncertainty, np.tile(slope * np.eye(2), (n_plane, 1, 1)), power)
 
 
 # From rotor, trained runs and settings to a Solved: labpipe.methods.run_ups.methods.
@@ -259,5 +259,7 @@ class RunUpSettings(Settings):
         for name in names:
             if names.count(name) > 1:
                 raise SettingError("runs", f"a second run named '{name}'", "names must differ")
+        if self.probes != ProbeSettings() and all(run.recording for run in self.runs):
+            raise SettingError("probes", "no run is a table", "a recording has those of its rig file")
         if all(run.role == HELD_OUT for run in self.runs):
             raise SettingError("runs", "every run is held out, none is trained", "leave out role: of some")

@@ -7,18 +7,19 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
 from labpipe.errors import ConfigError
+from labpipe.methods.planning import run_ups
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
 from labpipe.methods.planning.run_ups import (
     EXPONENTS,
-    Limits,
     RunCandidate,
     RunUpChoice,
     RunUpPlanSettings,
@@ -28,11 +29,12 @@ from labpipe.methods.planning.run_ups import (
     expected_run,
 )
 from labpipe.methods.rotor.posterior import rank_of
-from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.records import RunUp
+from labpipe.methods.run_ups.joint import family_about, fit_jointly
+from labpipe.methods.run_ups.records import HELD_OUT, TRAINED, MeasuredRun, RunUp, RunUpMethod, RunUpResult
 from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv, write_run_up_csv
+from labpipe.records.finding import Parameter
 from labpipe.records.uncertain import Uncertain
 from tests.conftest import Command
 
@@ -86,6 +88,47 @@ def _read(run: RunUp, rng: np.random.Generator) -> RunUp:
             run.threshold.value + run.threshold.std_error * rng.standard_normal(), run.threshold.std_error
         )
     return replace(run, response=noisy, threshold=threshold)
+
+
+def test_names_of_trials_are_names_of_files() -> None:
+    """No name leads out of the folder, and no two name one file."""
+    rig, trial = load_run_up_rotor(ROTOR), TrialSettings(unbalance=(("disc 1", 1e-5 + 0j),))
+    entries = {"loads": (5.0,), "speeds": (10.0, 50.0), "step": 5.0, "dwell": 10.0, "duration": 600.0}
+    settings = RunUpPlanSettings("run-ups", "r", trials=(("../a/b", trial),), rig=rig, **entries)
+    names = {candidate.name for candidate in RunUpChoice(settings, expected_rig(settings, {}))._all()}
+    assert names == {f"load-1-..-a-b-{number}" for number in (1, 2, 3)}
+    with pytest.raises(ConfigError, match="two trials would write the same files"):
+        RunUpPlanSettings("run-ups", "r", trials=(("a/b", trial), ("a b", trial)), rig=rig, **entries)
+
+
+def test_an_earlier_viscosity_is_referred_to_the_loads_and_speeds_of_the_plan(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The film of the earlier result, at its own references, is the one that is expected."""
+    parameters = {"viscosity": 0.8, "viscosity_speed": -0.4, "viscosity_load": 0.2, "clearance": 1.1}
+    listed = tuple(Parameter(name, value, "1") for name, value in parameters.items())
+    runs = tuple(
+        MeasuredRun(f"{load:g}", load, role, excitation="", speed=(60.0, 600.0), motions=())
+        for load, role in ((4.0, TRAINED), (9.0, TRAINED), (40.0, HELD_OUT))
+    )
+    method = RunUpMethod("joint", "(c)", "not rejected", predictions=(), parameters=listed)
+    result = RunUpResult("rotor", "disc 1", "film", runs=runs, methods=(method,))
+    found = SimpleNamespace(sections={"run_ups": result})
+    monkeypatch.setattr(run_ups, "read_identification", lambda _path: found)
+    (tmp_path / "identification.json").touch()
+    lines = ROTOR.read_text("utf-8").splitlines(keepends=True)
+    bare = "".join(line for line in lines if not line.startswith("speeds:"))
+    (tmp_path / "bare.yaml").write_text(bare, encoding="utf-8")
+    file = load_plan(_write(tmp_path, rotor="bare.yaml", earlier="identification.json", known=None))
+    expected = run_ups.expected_rig(file.settings, run_ups._earlier(file))
+    rig = replace(file.settings.rig, speeds=(60.0, 600.0))
+    old = np.zeros(12)
+    old[:4] = np.log(0.8), -0.4, 0.2, np.log(1.1)
+    load, speed = np.array([5.0, 10.0]), np.array([100.0, 250.0])
+    np.testing.assert_allclose(
+        expected.family.coefficients(expected.values, load, speed),
+        family_about(rig, [4.0, 9.0]).coefficients(old, load, speed),
+    )
 
 
 def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
@@ -157,7 +200,7 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
         ({"trials": {"a": {"unbalance": {"disc 1": "0 g.mm"}}}}, "the trial unbalance is zero"),
         (
             {"trials": {name: {"unbalance": {"disc 1": "1 g.mm"}} for name in ("a b", "a-b")}},
-            "two trials differ by blanks alone",
+            "two trials would write the same files",
         ),
         ({"loads": ["6 N", "6 N"]}, "loads: one is there twice"),
         ({"trials": {"a": {"unbalance": {"disc 3": "1 g.mm"}}}}, "no plane 'disc 3'"),
@@ -199,9 +242,9 @@ def test_a_run_keeps_the_speeds_within_its_limits_if_they_are_two(one_load: RunU
     orbit = np.real(expected_run(expected, run).response[..., None] * turn)
     largest = np.max(np.hypot(orbit[:, :, 0], orbit[:, :, 1]), axis=(1, 2))
     low, middle, high = np.argsort(largest)
-    kept = at_allowed_speeds(expected, run, Limits(np.sqrt(largest[middle] * largest[high])))
+    kept = at_allowed_speeds(expected, run, np.sqrt(largest[middle] * largest[high]))
     assert kept is not None and set(kept.speed) == set(run.speed[[low, middle]])
-    assert at_allowed_speeds(expected, run, Limits(np.sqrt(largest[low] * largest[middle]))) is None
+    assert at_allowed_speeds(expected, run, np.sqrt(largest[low] * largest[middle])) is None
 
 
 def test_one_load_leaves_the_load_s_exponent_open(one_load: RunUpChoice) -> None:

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.methods.planning.plan_file import read_plan
+from labpipe.artefacts.writing import output_folder
+from labpipe.methods.planning.plan_file import load_plan, plan_files, read_plan
 from labpipe.methods.planning.records import RunPlan
+from labpipe.methods.planning.wear import WearTests
 from tests.conftest import Command
 
 ROTOR = Path(__file__).parents[3] / "configs/rotors/mendes.yaml"
@@ -55,6 +57,26 @@ def test_files_and_words(labpipe: Command, tmp_path: Path) -> None:
     first, *others = pipeline["identify"].values()
     assert "clearance" in first["wear"] and all(fit["wear"]["same_wear"] for fit in others)
     assert labpipe("verify", folder).code == 0
+
+
+def test_a_horizontal_load_at_the_node_stays(tmp_path: Path) -> None:
+    """30 N across beside what is set up; what is known of the oil keeps its shape and source."""
+    entries = yaml.safe_load(ROTOR.read_text("utf-8"))
+    node = entries["force"]
+    entries["loads"] = [{"node": node, "y": "30 N", "z": "-80 N"}]
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(entries), encoding="utf-8")
+    oil = "0.1 Pa.s +- 0.003 Pa.s (rectangular, source=label)"
+    one = {"bands": ["15-40 Hz"], "speeds": ["50 Hz"], "loads": ["-40 N"], "duration": "70 s"}
+    file = load_plan(_write(tmp_path, rotor="rotor.yaml", viscosity=oil, goal=None, **one))
+    with output_folder(tmp_path / "out") as folder:
+        plan_files(file, folder)
+    loads = yaml.safe_load((tmp_path / "out/rotor-50Hz.yaml").read_text("utf-8"))["loads"]
+    assert loads == [{"node": node, "y": "30 N", "z": "0 N"}, {"node": node, "z": "-40.0 N"}]
+    tests = WearTests(file.settings, file.settings.expected)
+    at = tests.expected.at(50.0, node, -40.0)
+    assert np.sum([part[1:] for part in at.rig.loads], axis=0).tolist() == [30.0, -40.0]
+    (fit,) = yaml.safe_load((tmp_path / "out/pipeline.yaml").read_text("utf-8"))["identify"].values()
+    assert fit["wear"]["viscosity"].endswith("Pa.s (rectangular, source=label)")
 
 
 def test_light_wear_has_no_angle(labpipe: Command, tmp_path: Path) -> None:

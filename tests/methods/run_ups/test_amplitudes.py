@@ -9,7 +9,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.amplitudes import (
     AmplitudeFit,
     Amplitudes,
@@ -196,9 +195,3 @@ def test_cobyqa_meets_the_same_amplitudes() -> None:
 def test_a_sentence_for_the_report(factors: list[AmplitudeFit]) -> None:
     said = perfect_but_wrong(factors)
     assert "determine only 2 combinations of the eight coefficients" in said and "are at a bound" in said
-
-
-@pytest.mark.parametrize("settings", [{"bound": 0.0}, {"bound": 1.0}, {"starts": 0}, {"method": "cobyka"}])
-def test_settings_without_meaning_are_refused(settings: dict[str, object]) -> None:
-    with pytest.raises(ConfigError):
-        fit_amplitudes(RIG, trained("outside"), **settings)  # type: ignore[arg-type]

@@ -133,6 +133,23 @@ def test_sensitivity_to_an_added_unbalance() -> None:
     assert found.speed == pytest.approx(60.0, abs=0.1)
 
 
+def test_a_slow_roll_takes_nothing_from_the_change_since_a_baseline() -> None:
+    """Both runs have the slow roll of 3 um: the difference of two closed forms, at their peak."""
+    run, before = track(laval(SPEED, 0.05), 3), track(laval(SPEED, 0.05, 10e-6), 2)
+    (found,) = judge(run, slow_roll=(8.0, 14.0), unbalance=1e-5, baseline=before).sensitivities
+    assert found.size.value == pytest.approx(half_power(0.05)[1] / 2 / 1e-5, rel=0.015)
+
+
+def test_a_baseline_at_other_speeds_is_refused() -> None:
+    run, other = track(laval(SPEED, 0.1)), track(laval(SPEED, 0.1), speed=SPEED + 100)
+    for before, speed_range in ((other, None), (track(laval(SPEED, 0.1)), (95.0, 100.0))):
+        with pytest.raises(DataError, match="no speed of operation in common"):
+            judge(run, unbalance=5e-6, baseline=before, speed_range=speed_range)
+    few = track(laval(SPEED[:5], 0.1), speed=SPEED[:5])
+    with pytest.raises(DataError, match="5 different speeds are too few"):
+        judge(run, unbalance=5e-6, baseline=few)
+
+
 def test_too_few_speeds_are_refused() -> None:
     few = SPEED[::20]
     with pytest.raises(DataError, match="too few"):

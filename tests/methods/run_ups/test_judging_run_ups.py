@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.run_ups.records import HELD_OUT, TRAINED, Amount, MeasuredRun, RunUpResult
+from labpipe.methods.run_ups.records import HELD_OUT, TRAINED, Amount, MeasuredRun, RunUpMethod, RunUpResult
 from labpipe.methods.run_ups.section import run_up_outcome
 from labpipe.project.judging import compare_number
 from labpipe.project.rules import Rule
@@ -68,3 +69,10 @@ def test_a_run_without_a_value_meets_no_rule() -> None:
 def test_a_run_that_is_not_there() -> None:
     with pytest.raises(ConfigError, match="there is no run 'fist'"):
         run_up_outcome(rule("measured[fist].critical_speed", ">=", "1 Hz"), RESULT, compare_number)
+
+
+@pytest.mark.parametrize("item", ["joint[first].rank", "joint.rank.std_error"])
+def test_a_number_of_all_runs_has_no_run_and_no_attribute(item: str) -> None:
+    method = RunUpMethod("joint", "(c)", "not rejected", predictions=(), rank=8)
+    with pytest.raises(ConfigError, match="'rank' is that of all runs, by itself"):
+        run_up_outcome(rule(item, ">=", "8"), replace(RESULT, methods=(method,)), compare_number)

@@ -96,6 +96,14 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "n", "--order", "nan"), "--order must be positive"),
         (("--speed", "1.5 kHz"), "order 1 of recording 'run' reaches 1500 Hz, beyond half its sample rate"),
         (("--tacho", "n", "--revolutions", "5000"), "shorter than 5000 revolutions"),
+        (("--tacho", "n", "--order", "2", "--speed-range", "50-60 Hz"), "a run-up is of order 1, not 2"),
+        (("--tacho", "n", "--load", "3 N"), "--load belongs to --save-run-up"),
+        (("--tacho", "n", "--unbalance", "x=3 g.mm"), "--unbalance belongs to a table or a judgement"),
+        (("--tacho", "n", "--limit", "-5 %"), "--gap and --limit must be positive"),
+        (
+            ("--tacho", "n", "--save-run-up", "t.csv", "--load", "3 N", "--unbalance", "x=3 g.mm"),
+            "--save-run-up: the plane of the responses has no name",
+        ),
     ],
 )
 def test_what_cannot_be_tracked_is_said(
@@ -129,3 +137,55 @@ def test_the_axes_say_the_unit_of_what_was_measured(project: Path, labpipe) -> N
     drawn = (project / "out/orders.svg").read_text("utf-8")
     assert "amplitude [m/s^2]" in drawn and "[um]" not in drawn
     assert "<svg" in (project / "out/orbits.svg").read_text("utf-8")
+
+
+ACCELERATIONS = (
+    ("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2"),
+    ("[um]", "[m/s^2]"),
+    ("dof: ", "dof: disc."),
+)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_accelerations_are_no_run_up_and_have_their_own_unit(project: Path, labpipe) -> None:
+    """A centreline in the unit of what was measured; no table, which holds displacements."""
+    text = RIG
+    for old, new in ACCELERATIONS:
+        text = text.replace(old, new)
+    (project / "rig.yaml").write_text(text, encoding="utf-8")
+    run = project / "run.csv"
+    run.write_text(run.read_text("utf-8").replace("[um]", "[m/s^2]"), encoding="utf-8")
+    given = ("orders", run, "-r", project / "rig.yaml", "--tacho", "n", "-o", project / "out")
+    ended = labpipe(*given, "--centreline")
+    assert ended.code == 0 and " m/s^2 at " in ended.out.split("centreline moved by")[1], ended
+    table = ("--save-run-up", project / "t.csv", "--load", "3 N", "--unbalance", "disc=5 g.mm")
+    ended = labpipe(*given, *table)
+    assert ended.code == 2 and "channel 'x' of recording 'run' reads acceleration" in ended.err, ended
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_baseline_of_the_same_name_leaves_the_run_s_recording(project: Path, labpipe) -> None:
+    """What a table leaves out is said; a baseline of other channels is refused."""
+    rig = project / "rig.yaml"
+    text = RIG.replace("dof: ", "dof: disc.").replace("unit: um", "unit: um, uncertainty: {gain: 1 %}")
+    rig.write_text(text, encoding="utf-8")
+    before = project / "before/run.csv"
+    before.parent.mkdir()
+    numbers = np.loadtxt(project / "run.csv", delimiter=",", skiprows=1, max_rows=8000)
+    for path, table in ((project / "run.csv", numbers), (before, numbers * [0.5, 0.5, 1])):
+        header = "x [um],y [um],tacho [V]"
+        np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.6g")
+    short = ("--tacho", "n", "--revolutions", "5")
+    given = ("orders", project / "run.csv", "-r", rig, *short, "-o", project / "out")
+    change = ("--unbalance", "disc=5 g.mm", "--load", "3 N", "--save-run-up", project / "t.csv")
+    ended = labpipe(*given, "--baseline", before, *change)
+    assert ended.code == 0 and "speeds, without the uncertainties of x.gain, y.gain" in ended.out, ended
+    names = {path.name for path in (project / "out").glob("*.parquet")}
+    assert names == {"run.recording.parquet", "run-baseline.recording.parquet"}
+    rig.write_text(text.replace("  x:", "  z:").replace("disc.x", "disc.z"), encoding="utf-8")
+    other = labpipe("ingest", before, "-r", rig, "-o", project / "other")
+    assert other.code == 0, other
+    rig.write_text(text, encoding="utf-8")
+    (stored,) = (project / "other").glob("*.parquet")
+    ended = labpipe(*given, "--baseline", stored, *change)
+    assert ended.code == 2 and "--baseline: its responses are not those of the run" in ended.err, ended

@@ -13,6 +13,7 @@ from labpipe.errors import DataError
 from labpipe.methods.run_ups.measured import measured_critical_speed
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.virtual_rig import run_ups, true_coefficients
+from labpipe.records.uncertain import Uncertain
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
 
 
@@ -41,6 +42,20 @@ def test_the_peak_of_a_round_rotor(step: float, zeta: float) -> None:
     """w / sqrt(1 - 2 zeta^2), between the measured speeds, to two parts in a thousand."""
     found = measured_critical_speed(jeffcott(step, zeta))
     assert found.value == pytest.approx(150 / np.sqrt(1 - 2 * zeta**2), rel=2e-3)
+
+
+def test_nine_speeds_know_the_error_of_the_curve_through_them() -> None:
+    """Almost without noise: what two speeds fewer change, by the run that has seven of them."""
+    whole = jeffcott(20.0, 0.05)
+
+    def at(first: int, last: int) -> Uncertain:
+        names = ("speed", "response", "amplitude_error", "phase_error")
+        parts = {name: getattr(whole, name)[first:last] for name in names}
+        return measured_critical_speed(dataclasses.replace(whole, **parts))
+
+    # The largest displacement is that of the sixth speed of all.
+    nine, seven = at(1, 10), at(2, 9)
+    assert nine.std_error == pytest.approx(abs(nine.value - seven.value), rel=0.1) and nine.std_error > 0
 
 
 @pytest.mark.long

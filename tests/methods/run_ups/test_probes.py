@@ -15,7 +15,7 @@ from labpipe.methods.run_ups.measured import measured_critical_speed, run_up_of
 from labpipe.methods.run_ups.metamodel_kinds import PhysicalFit
 from labpipe.methods.run_ups.methods import fit_points, joint_method
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.settings import ProbeSettings, ProbeUncertainties
+from labpipe.methods.run_ups.settings import ProbeSettings, ProbeUncertainties, RunSettings, RunUpSettings
 from labpipe.records.response import Port
 from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
 from labpipe.spectra.orders import OrderTrack, planes_of
@@ -143,7 +143,8 @@ def test_a_recording_has_the_uncertainties_of_its_rig_file(runs: tuple[RunUp, ..
         )
 
     runs = [
-        run_up_of(track(*errors), "a", 1.0, {"": 1e-5 + 0j}) for errors in ((0, 0), (-size, 0), (0, -2e-5))
+        run_up_of(track(*errors), (), "a", 1.0, {"": 1e-5 + 0j})
+        for errors in ((0, 0), (-size, 0), (0, -2e-5))
     ]
     changes = runs[0].changes()
     for source, run in zip(("a.dof", "a.delay"), runs[1:], strict=True):
@@ -170,3 +171,9 @@ def test_the_report_states_parameters_with_the_uncertainties_of_probes(runs: tup
     assert viscosity.std_error < 0.95 * viscosity.combined and viscosity.full_error == viscosity.combined
     half = (viscosity.ci95[1] - viscosity.ci95[0]) / 2
     assert half == pytest.approx(viscosity.coverage_factor * viscosity.combined)
+
+
+def test_probes_of_tables_without_a_table_are_refused() -> None:
+    run = RunSettings(recording="a.parquet", tacho="n", load=8.0, unbalance=(("disc 1", 2e-5 + 0j),))
+    with pytest.raises(ConfigError, match="no run is a table"):
+        RunUpSettings(rotor="r.yaml", runs=(run,), probes=ProbeSettings(gain="1 %"))

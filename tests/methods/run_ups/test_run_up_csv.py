@@ -111,6 +111,14 @@ def test_other_units_of_the_lab(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ("# load: 3.66 N\n", "", "the load is missing"),
+        ("# recorded", "# Unbalance disc 2: 3 g.mm\n# recorded", "unknown entry 'Unbalance disc 2'"),
+        ("# recorded", "# unblance disc 2: 3 g.mm\n# recorded", "unknown entry 'unblance disc 2'"),
+        ("# recorded", "\n # unbalance disc 7: 3 g.mm at 0 deg\n# recorded", "excited at 'disc 7'"),
+        (
+            "y phase [deg]\n600,10,90,20,0\n1200,30,-90,40,180",
+            "y phase [deg],disc 1 y phase error [deg]\n600,10,90,20,0,1\n1200,30,-90,40,180,1",
+            "the phase error is stated twice",
+        ),
         ("3.66 N", "3.66 um", "load: .*wrong dimension"),
         ("3.66 N", "-1 N", "the load of run .* is positive"),
         ("# load", "# laod", "unknown entry 'laod'; did you mean 'load'"),

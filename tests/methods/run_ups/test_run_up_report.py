@@ -41,6 +41,7 @@ from labpipe.methods.run_ups.records import (
 from labpipe.methods.run_ups.report import (
     both_differences,
     coefficient_table,
+    parameter_table,
     rpm_text,
     run_up_sections,
     speed_blocks,
@@ -303,6 +304,13 @@ def test_coefficients_carry_their_deviation_or_their_bound() -> None:
 def named(figure: Figure) -> dict[str, object]:
     drawn = figure.graphic
     return {one.name: one for panel in drawn.panels for one in panel.series}
+
+
+def test_a_value_without_an_interval_is_not_at_its_bound() -> None:
+    """A rejected fit states values alone."""
+    free, bound = Parameter("clearance", 0.9, "1"), Parameter("viscosity", 4.0, "1", at_bound=True)
+    table = parameter_table(replace(JOINT, parameters=(free, bound)))
+    assert [row[3:] for row in table.rows] == [("none", "none"), ("none", "at bound")]
 
 
 def test_bode_shows_measured_points_and_every_method() -> None:

@@ -4,6 +4,7 @@ residual.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -17,7 +18,11 @@ from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.section import read_run
 from labpipe.methods.run_ups.settings import RunSettings
+from labpipe.records.recording import Recording
 from labpipe.records.rig import Rig
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
+from labpipe.spectra.settings import ShaftLines
+from tests.methods.run_ups.test_run_up_orders import sweep
 
 
 class Anything:
@@ -60,3 +65,36 @@ def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.Monke
     np.testing.assert_allclose(run.response, 2e-5 + 1e-5j)
     assert excitation_text(run.unbalance, run.shaker) == "disc 2: 20 g mm at 0 deg"
     assert all(np.all(values > 0) for values in (run.amplitude_error, run.phase_error))
+
+
+SETTINGS = RunSettings(recording="a.parquet", tacho="tacho", load=8.0, unbalance=(("disc 1", 2e-5 + 0j),))
+
+
+def delayed(source: Recording, *names: str) -> Recording:
+    """The recording with one error of 0.1 ms in the delay of the channels of these *names*."""
+    error = ChannelUncertainty("delay", Uncertainty("logger", 1e-4, "s"))
+    channels = (replace(c, uncertainties=(error,) * (c.name in names)) for c in source.channels)
+    return replace(source, channels=tuple(channels))
+
+
+def test_a_delay_of_the_tacho_is_one_of_all_phasors() -> None:
+    """0.1 ms turns them by w times that; where the probes are as late, nothing turns."""
+
+    def changes(*names: str) -> tuple[RunUp, np.ndarray]:
+        source = delayed(sweep(10.0), *names)
+        run = run_ups_reading._track(source, ShaftLines(tacho="tacho"), SETTINGS, {"disc 1": 1e-5 + 0j})
+        return run, run.changes()["logger"]
+
+    run, turned = changes("tacho")
+    np.testing.assert_allclose(turned, -1e-4j * run.speed[:, None, None] * run.response)
+    np.testing.assert_allclose(changes("tacho", "a", "b")[1], 0, atol=1e-20)
+
+
+def test_a_cascade_shows_displacements_alone() -> None:
+    source = sweep(10.0)
+    source = replace(
+        source,
+        channels=(source.channels[0], replace(source.channels[1], quantity="velocity"), source.channels[2]),
+    )
+    shown = run_ups_reading._cascades(source, ShaftLines(tacho="tacho"))
+    assert [cascade.label for cascade in shown] == ["a"]
