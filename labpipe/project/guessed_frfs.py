@@ -14,13 +14,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, unit_of
-from labpipe.raw_files.frf_described import (
-    VARIABLE_SUFFIXES,
-    DescribedColumns,
-    TextColumns,
-    columns_of_variables,
-    equal_steps,
-)
+from labpipe.raw_files import frf_described
 from labpipe.raw_files.table import TEXT_SUFFIXES
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import FRF, UFF_SUFFIXES, read_uff
@@ -72,8 +66,8 @@ def guessed_frf(path: Path) -> GuessedFrf | None:
     None for any other file.
     """
     suffix = plain_suffix(path)
-    if suffix in VARIABLE_SUFFIXES:
-        return _of_variables(columns_of_variables(path))
+    if suffix in frf_described.VARIABLE_SUFFIXES:
+        return _of_variables(frf_described.columns_of_variables(path))
     if suffix in UFF_SUFFIXES:
         return _of_records(path)
     return _of_table(path) if suffix in TEXT_SUFFIXES else None
@@ -100,7 +94,7 @@ def _of_table(path: Path) -> GuessedFrf | None:
     """The FRF of a text table whose header names a frequency and the parts of complex numbers, or of one
     without a header, of three columns of which the first counts frequencies.
     """
-    table = TextColumns(path)
+    table = frf_described.TextColumns(path)
     if len(table.columns) == 3 and not any(re.search(r"[A-Za-z]{2}", name) for name in table.columns):
         return _without_header(table)
     columns: dict[str, str] = {}
@@ -132,7 +126,7 @@ def _unit_of_frf(unit: str) -> str:
     return ""
 
 
-def _without_header(table: TextColumns) -> GuessedFrf | None:
+def _without_header(table: frf_described.TextColumns) -> GuessedFrf | None:
     """Three columns of numbers: steps of one size in the first, which is no time, and a complex number."""
     frequency, re_, im = (table.column(n).real for n in range(3))
     steps = np.diff(frequency)
@@ -159,7 +153,7 @@ _PARTS = (("amplitude", r"ampl?(itude)?|mag(nitude)?|abs"), ("re", r"re(al)?"))
 _OTHERS = {"amplitude": ("phase", r"phase|arg|ang(le)?"), "re": ("im", r"im(ag)?")}
 
 
-def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
+def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     """The FRFs among variables: complex vectors, or amplitudes with their phases, beside a rising vector of
     as many real numbers.
     """
@@ -172,7 +166,9 @@ def _of_variables(source: DescribedColumns) -> GuessedFrf | None:
         name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
     }
     axis = _axis_of(vectors, size, elements)
-    lines, frequency = ({"frequency": axis}, vectors[axis].real) if axis else equal_steps(source, size)
+    lines, frequency = (
+        ({"frequency": axis}, vectors[axis].real) if axis else frf_described.equal_steps(source, size)
+    )
     if not elements or not lines:
         return None
     real = [name for name, part in vectors.items() if part.size == size and not np.iscomplexobj(part)]
@@ -196,7 +192,7 @@ def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatAr
     return vectors[next(iter(parts.values()))]
 
 
-def _by_labels(source: DescribedColumns, elements: Elements) -> tuple[Elements, str]:
+def _by_labels(source: frf_described.DescribedColumns, elements: Elements) -> tuple[Elements, str]:
     """The elements by the labels of their responses, and the label of their one reference, where the file has
     these.
     """
@@ -211,7 +207,7 @@ def _by_labels(source: DescribedColumns, elements: Elements) -> tuple[Elements, 
     return dict(zip(named, elements.values(), strict=True)), references.pop()
 
 
-def _vectors(source: DescribedColumns) -> dict[str, ComplexArray | FloatArray]:
+def _vectors(source: frf_described.DescribedColumns) -> dict[str, ComplexArray | FloatArray]:
     """Vectors (n,) of numbers among the variables, and the columns of matrices as NAME_1, NAME_2, ..."""
     vectors: dict[str, ComplexArray | FloatArray] = {}
     for name in source.names:

@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, SettingError
-from labpipe.methods.floating_bearing.likelihood import (
-    N_EQUATION,
-    Balance,
-    BalanceLines,
-    Estimate,
-    times,
-    whiten,
-)
+from labpipe.methods.floating_bearing import likelihood
 from labpipe.records.fit_details import OtherExcitation
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
@@ -35,7 +28,7 @@ PARALLEL = 1e-3
 
 
 @dataclass(frozen=True)
-class Stator(BalanceLines):
+class Stator(likelihood.BalanceLines):
     """[F_x, F_y, D_x, D_y, A_x, A_y] [N, m, m/s^2] of the stator, rows of zeros of to_axes (6, n_channel) [1]
     without accelerations.
     """
@@ -66,7 +59,7 @@ def stator_of(
         columns = _chosen_columns(spectra, quantity, inputs if quantity == FORCE else outputs)
         if columns or quantity != ACCELERATION:
             to_axes[2 * number : 2 * number + 2, columns] = _to_axes(spectra, columns, quantity)
-    return Stator.of(spectra, band, to_axes, N_EQUATION)
+    return Stator.of(spectra, band, to_axes, likelihood.N_EQUATION)
 
 
 def _columns_of_quantity(spectra: ChannelSpectra, quantity: str) -> list[int]:
@@ -165,7 +158,7 @@ class LineStiffness:
     paired: bool = False
 
 
-def line_stiffness(balance: Balance) -> LineStiffness:
+def line_stiffness(balance: likelihood.Balance) -> LineStiffness:
     """H of every line from two or more runs; FitError where the runs of a line move in one direction.
     Equation (ds-line).
     """
@@ -181,14 +174,14 @@ def line_stiffness(balance: Balance) -> LineStiffness:
     return LineStiffness(balance.omega, balance.right.swapaxes(-1, -2) @ inverse, inverse)
 
 
-def shown_stiffness(balance: Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
+def shown_stiffness(balance: likelihood.Balance, stiffness: ComplexArray) -> tuple[LineStiffness, FloatArray]:
     """H line by line and its variance (n_line, 2, 2) [(N/m)^2], lines left out that do not tell H; of one run
     by pairs of lines. stiffness (n_line, 2, 2) [N/m] of a model gives the noise of the balance, and the
     course between the two lines of a pair: H is the model in their middle and what both lines leave.
     """
-    state = whiten(balance, stiffness)
+    state = likelihood.whiten(balance, stiffness)
     noise = np.stack([state.l_xx**2, np.abs(state.l_yx) ** 2 + state.l_yy**2], axis=-1)
-    residual = balance.right - times(stiffness[:, None], balance.motion)
+    residual = balance.right - likelihood.times(stiffness[:, None], balance.motion)
     motion, omega = balance.motion, balance.omega
     paired = motion.shape[1] < 2
     if paired:
@@ -215,7 +208,9 @@ SHAPES = (("amplitude ~ 1/f", -1), ("amplitude the same at all lines", 0), ("amp
 LETTERS = ("k", "c", "m")
 
 
-def other_excitations(stator: Stator, estimate: Estimate, columns: FloatArray) -> tuple[OtherExcitation, ...]:
+def other_excitations(
+    stator: Stator, estimate: likelihood.Estimate, columns: FloatArray
+) -> tuple[OtherExcitation, ...]:
     """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
     [1/parameter unit] of the Jacobian.
 
