@@ -56,9 +56,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     names = _parameters(settings, tests)
     every = itertools.product(names, *tests.fits)
     pairs = [(a, b, name) for name, a, b in every if (a.band_hz, a.term) == (b.band_hz, b.term)]
-    usable = [
-        (a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error
-    ]
+    usable = [(a, b, name) for a, b, name in pairs if _has_error(a, name) and _has_error(b, name)]
     if not usable:
         raise FitError(
             "the two tests have no band in common with standard errors", hint="fit both in the same bands"
@@ -88,6 +86,10 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
         condition=settings.group,
         bands=bands,
     )
+
+
+def _has_error(fit: Fit, name: str) -> bool:
+    return any(parameter.name == name and parameter.std_error for parameter in fit.parameters)
 
 
 def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:

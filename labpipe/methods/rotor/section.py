@@ -270,9 +270,7 @@ def rotor_chart(sketch: RotorSketch) -> chart.Chart:
     reach, length = sketch.reach, sketch.stations[-1]
     series = [line for ring in sketch.rings for line in _draw(ring)]
     numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
-    lower = [
-        -ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))
-    ]
+    lower = [-reach * (EVEN_NUMBERS if number % 2 else ODD_NUMBERS) for number in range(len(numbers))]
     series += [
         chart.level(0.0, chart.INK, "-.", width=0.6),
         chart.dots("node", sketch.stations, np.zeros(len(numbers)), chart.INK, size=2.0),
@@ -450,7 +448,7 @@ def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNu
     values = runs.values(cases[name])
     if item not in values:
         raise rule.fault(f"a case of unbalance has no '{item}'", nearest(item, values))
-    return rule.outcome(*compare_number(rule, *values[item]))
+    return rule.outcome(*compare_number(rule, *values[item], cases[name].error(item)))
 
 
 UNBALANCE = PipelineSection(

@@ -161,8 +161,8 @@ def most_probable(
 
 def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
     if test.kind == RESPONSE:
-        response = _response(test, work)
-        return Sensors(tuple(port.label for port in response.outputs), test.gain, test.speed > 0)
+        labels = tuple(port.label for port in _response(test, work).outputs)
+        return Sensors(labels, test.gain, test.speed > 0)
     if test.kind == RUN_UP:
         run = runs[test.name]
         labels = tuple(f"{plane} {axis}" for plane in run.planes for axis in ("x", "y"))
