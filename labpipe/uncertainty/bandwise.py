@@ -19,6 +19,7 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, parameter_changes, random_error
 from labpipe.uncertainty.settings import CompareSettings
+from labpipe.uncertainty.weighted import dof_of_sum
 
 ANY = "k"
 MOST_NAMED = 8
@@ -110,8 +111,9 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, float]:
     """Two-sided p-value of a difference, and half the width of its 95 % interval."""
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
-    total = float(np.sqrt(np.sum(errors**2) + np.sum((second - first) ** 2)))
-    dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
+    shared = float(np.linalg.norm(second - first))
+    parts = np.append(errors, shared)
+    total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, np.array([a.dof, b.dof, np.inf]))
     t = (b.parameter(name).value - a.parameter(name).value) / total
     return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total
 

@@ -26,7 +26,7 @@ from labpipe.uncertainty.amounts import chance, from_log, joint_errors, relative
 from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, group_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
-from labpipe.uncertainty.weighted import WeightedFit, repeatability, weighted_fit, weighted_mean
+from labpipe.uncertainty.weighted import WeightedFit, dof_of_sum, repeatability, weighted_fit, weighted_mean
 
 # Trend of a parameter over a condition: weighted straight line or power law through the tests, and its
 # significance.
@@ -56,7 +56,7 @@ def power_fit(campaign: Campaign) -> WeightedFit:
             raise FitError(f"a power law needs '{name}' above zero", hint="law: line")
     relative = campaign.relative
     columns = np.column_stack(
-        [np.ones_like(campaign.condition), *(np.log(x / _centre(campaign, x)) for x in _conditions(campaign))]
+        [np.ones_like(campaign.condition), *(np.log(x / _centre(x)) for x in _conditions(campaign))]
     )
     first = weighted_fit(columns, np.log(campaign.value), relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
@@ -70,14 +70,12 @@ def _conditions(campaign: Campaign) -> list[FloatArray]:
     return [campaign.condition, *([campaign.second] if campaign.settings.second else [])]
 
 
-def _centre(campaign: Campaign, x: FloatArray) -> float:
-    return float(
-        np.exp(np.mean(np.log(x))) if campaign.settings.law == "power" or np.all(x > 0) else np.mean(x)
-    )
+def _centre(x: FloatArray) -> float:
+    return float(np.exp(np.mean(np.log(x))))
 
 
 def _power(campaign: Campaign) -> Comparison:
-    fit, centre = power_fit(campaign), _centre(campaign, campaign.condition)
+    fit, centre = power_fit(campaign), _centre(campaign.condition)
     x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = fit.amount("exponent", "1", 1)
@@ -91,7 +89,7 @@ def _power(campaign: Campaign) -> Comparison:
         second = fit.amount("second_exponent", "1", 2)
         amounts.append(second)
         law += (
-            f" ({settings.second} / {_centre(campaign, campaign.second):.5g} "
+            f" ({settings.second} / {_centre(campaign.second):.5g} "
             f"{campaign.second_unit})^({display.with_error(second.value, second.std_error)})"
         )
     return _comparison(campaign, fit, amounts, law, np.column_stack([x, values]))
@@ -181,8 +179,12 @@ def quotient(campaign: Campaign) -> Comparison:
 
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
-    logs, errors, common = _pair(campaign, *campaign.settings.groups)
-    return weighted_mean(logs, joint_errors(errors, common))
+    logs, errors, common, dofs = _pair(campaign, *campaign.settings.groups)
+    mean = weighted_mean(logs, joint_errors(errors, common))
+    # Parts of the mean: what is common to all conditions was not estimated from scatter.
+    parts = errors**-1.0 / np.sum(errors**-2.0)
+    rest = np.sqrt(max(mean.std_error(0) ** 2 - float(np.sum(parts**2)), 0.0))
+    return replace(mean, behind=dof_of_sum(np.append(parts, rest), np.append(dofs, np.inf)))
 
 
 def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result: str) -> Comparison:
@@ -193,9 +195,9 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result:
     return campaign.comparison(amounts, verdict, f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).")
 
 
-def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ln(second / first) at every common condition (n,), its error, and its changes by common sources
-    (n_source, n) [1].
+def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]:
+    """ln(second / first) at every common condition (n,), its error, its changes by common sources (n_source,
+    n) [1], and the degrees of freedom of the error.
 
     What both groups have in common, such as the sensitivity of one sensor, cancels in the difference as far
     as it changes both alike.
@@ -215,15 +217,16 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, Floa
             parts = of_first, of_second
             before, after = (weighted_mean(logs[part], errors[part]) for part in parts)
             old, new = (np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0) for part in parts)
-            error = float(np.hypot(before.std_error(0), after.std_error(0)))
-            pairs.append((after.values[0] - before.values[0], error, new - old))
+            both = np.array([before.std_error(0), after.std_error(0)])
+            dof = dof_of_sum(both, np.array([before.effective_dof, after.effective_dof]))
+            pairs.append((after.values[0] - before.values[0], np.linalg.norm(both), new - old, dof))
     if not pairs:
         raise ConfigError(
             f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'",
             hint="leave `over` out",
         )
-    differences, spreads, changes = (np.array(column) for column in zip(*pairs, strict=True))
-    return differences, spreads, changes.T
+    differences, spreads, changes, dofs = (np.array(column) for column in zip(*pairs, strict=True))
+    return differences, spreads, changes.T, dofs
 
 
 def _strata(campaign: Campaign) -> list[BoolArray]:

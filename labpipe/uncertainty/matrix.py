@@ -105,6 +105,8 @@ def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str
         for point, name in itertools.product(points[1:], matrix.names)
         if (p_value := _chance(points[0], point, name)) is not None
     ]
+    if not pairs:
+        return ""
     corrected = holm(np.array([chance for _, _, chance in pairs]))
     differing = [(number, name) for (number, name, _), p in zip(pairs, corrected, strict=True) if p < level]
     axis = matrix.axes[place]

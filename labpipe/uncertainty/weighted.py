@@ -29,7 +29,8 @@ class WeightedFit:
 
     chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL),
     *covariance* is enlarged by the square of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t
-    instead of the normal distribution. Equation (comp-birge).
+    instead of the normal distribution. Equation (comp-birge). *behind*: degrees of freedom of the errors of
+    the values, where these were estimated from scatter themselves.
     """
 
     values: FloatArray
@@ -38,15 +39,17 @@ class WeightedFit:
     dof: int
     p_value: float | None
     inflated: bool
+    behind: float = np.inf
+
+    @property
+    def effective_dof(self) -> float:
+        """Degrees of freedom of intervals and tests, infinite where no error was estimated from scatter."""
+        return self.dof if self.inflated else self.behind
 
     @property
     def quantile(self) -> float:
         """Standard errors to either side of a 95 % interval. Equation (comp-quantile)."""
-        return (
-            distributions.student_quantile(0.975, self.dof)
-            if self.inflated
-            else distributions.normal_quantile(0.975)
-        )
+        return distributions.coverage_factor(0.95, self.effective_dof)
 
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
@@ -58,9 +61,9 @@ class WeightedFit:
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
         ratio = abs(self.values[number] - value) / self.std_error(number)
-        return 2 * (
-            distributions.student_tail(ratio, self.dof) if self.inflated else distributions.normal_tail(ratio)
-        )
+        if np.isfinite(self.effective_dof):
+            return 2 * distributions.student_tail(ratio, self.effective_dof)
+        return 2 * distributions.normal_tail(ratio)
 
 
 def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
@@ -98,6 +101,14 @@ def _whiten(columns: FloatArray, errors: FloatArray) -> FloatArray:
         return columns / errors[:, None]
     whitened: FloatArray = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
     return whitened
+
+
+def dof_of_sum(errors: FloatArray, dofs: FloatArray) -> float:
+    """Welch and Satterthwaite's degrees of freedom [1] of a sum of independent parts with standard *errors*
+    (n,) [one unit] and *dofs* (n,) [1]: (sum s^2)^2 / sum (s^4 / dof).
+    """
+    spread = float(np.sum(errors**4 / dofs))
+    return float(np.sum(errors**2)) ** 2 / spread if spread else np.inf
 
 
 def weighted_mean(values: FloatArray, errors: FloatArray) -> WeightedFit:

@@ -165,9 +165,8 @@ def test_a_rule_with_limits_is_decided_by_the_uncertainty_of_a_peak() -> None:
     change = PeakChange("oil", 3e-6, 0.1, 4e-6, 0.2)
     case = UnbalanceCase("worn", 0.0, 0.0, (1e-5, 2e-5), (1e-6, 2e-6), (change, change))
     runs = UnbalanceRuns("rotor", "left", 1, (40.0, 41.0), (case,))
-    rule = Rule(
-        "accept", "unbalance.worn.forward_peak", "unbalance", "", "worn.forward_peak", ">=", "1 um", ""
-    )
+    names = ("section", "address", "fit", "which", "kind", "bound", "place")
+    rule = Rule(**dict.fromkeys(names, ""), item="worn.forward_peak")
     seen = []
 
     def compare_number(*asked):
