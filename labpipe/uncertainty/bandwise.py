@@ -94,7 +94,6 @@ def _has_error(fit: Fit, name: str) -> bool:
 
 
 def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
-    """The parameter of the settings, or all coefficients."""
     names = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
     if settings.parameter == ANY and ANY not in names:
         return names

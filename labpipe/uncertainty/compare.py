@@ -66,7 +66,6 @@ def power_fit(campaign: Campaign) -> WeightedFit:
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
-    """The conditions of all tests, (n_test,) each."""
     return [campaign.condition, *([campaign.second] if campaign.settings.second else [])]
 
 
@@ -153,29 +152,21 @@ def difference(campaign: Campaign) -> Comparison:
     condition (n: exponent of the trend of all tests). ConfigError for groups without a common condition.
     Equation (comp-difference).
     """
-    first, second = campaign.settings.groups
     mean = _mean_of_logs(campaign)
     change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile)
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
-    result = (
-        f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} "
-        f"to {high:+.2f} %)"
-    )
-    return _of_groups(campaign, change, mean, result)
+    words = f"against {{}} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
+    return _of_groups(campaign, change, mean, words)
 
 
 def quotient(campaign: Campaign) -> Comparison:
     """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests."""
-    first, second = campaign.settings.groups
     mean = _mean_of_logs(campaign)
     ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
     assert ratio.ci95 is not None
-    result = (
-        f"{campaign.subject}: {second} over {first} {ratio.value:.5g} (95 %: {ratio.ci95[0]:.5g} to "
-        f"{ratio.ci95[1]:.5g})"
-    )
-    return _of_groups(campaign, ratio, mean, result)
+    low, high = ratio.ci95
+    return _of_groups(campaign, ratio, mean, f"over {{}} {ratio.value:.5g} (95 %: {low:.5g} to {high:.5g})")
 
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
@@ -187,7 +178,9 @@ def _mean_of_logs(campaign: Campaign) -> WeightedFit:
     return replace(mean, behind=dof_of_sum(np.append(parts, rest), np.append(dofs, np.inf)))
 
 
-def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result: str) -> Comparison:
+def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: str) -> Comparison:
+    first, second = campaign.settings.groups
+    result = f"{campaign.subject}: {second} {words.format(first)}"
     p_value = mean.p_of(0)
     verdict = "different" if p_value < campaign.settings.level else "no difference"
     pairs = f"{mean.dof + 1} condition(s) tested both ways" if campaign.settings.over else "all tests"
@@ -241,7 +234,6 @@ def _strata(campaign: Campaign) -> list[BoolArray]:
 
 
 def _errors(campaign: Campaign) -> FloatArray:
-    """Relative errors of the values, with that of setting the condition."""
     relative, setting = campaign.relative, campaign.settings.setting_error
     if not setting:
         return relative

@@ -144,9 +144,7 @@ def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed
     """
     forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
     for node, amount in unbalance.items():
-        y, z = rotor.dofs(node)
-        forces[:, y] += amount * np.asarray(speed) ** 2
-        forces[:, z] += -1j * amount * np.asarray(speed) ** 2
+        forces[:, rotor.dofs(node)] += np.outer(amount * np.asarray(speed) ** 2, [1, -1j])
     return forces
 
 

@@ -141,12 +141,10 @@ def solve(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Complex
     *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
     """
     try:
-        displacements = np.linalg.solve(stiffness, forces)
+        return np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
-        raise FitError(
-            "the rotor has a resonance without damping on a line", hint="move the line or add damping"
-        ) from None
-    return displacements
+        hint = "move the line or add damping"
+        raise FitError("the rotor has a resonance without damping on a line", hint=hint) from None
 
 
 def unbalance_response(
@@ -165,9 +163,7 @@ def unbalance_response(
     matrices = supported_rotor(rotor, supports)
     forces = np.zeros((speed.size, matrices.mass.shape[0], 1), np.complex128)
     for node, amount in unbalance.items():
-        y, z = rotor.dofs(node)
-        forces[:, y, 0] += amount * speed**2
-        forces[:, z, 0] += -1j * amount * speed**2
+        forces[:, rotor.dofs(node), 0] += np.outer(amount * speed**2, [1, -1j])
     return solve(dynamic_stiffness(matrices, speed, speed), forces)[:, outputs, 0]
 
 

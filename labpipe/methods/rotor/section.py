@@ -245,9 +245,8 @@ def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
     """One sketch for every rotor that an identification's settings name, each once: of its fits and of its
     response to unbalance.
     """
-    model_settings = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
-    rigs = [settings_of_model["rig"] for settings_of_model in model_settings if settings_of_model.get("rig")]
-    rigs += [settings["unbalance"]["rig"]] if "unbalance" in settings else []
+    owners = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
+    rigs = [owner["rig"] for owner in (*owners, settings.get("unbalance", {})) if owner.get("rig")]
     distinct = [rig for number, rig in enumerate(rigs) if rig not in rigs[:number]]
     return [rotor_figure(rig) for rig in distinct]
 
@@ -297,11 +296,11 @@ def rotor_chart(sketch: RotorSketch) -> chart.Chart:
 def _draw(ring: Ring) -> list[chart.Series]:
     colour, opacity = LOOKS[ring.part]
     right = ring.left + ring.length
-    series = []
-    for bottom, height in ring.boxes:
-        x, y = [ring.left, right, right, ring.left], [bottom, bottom, bottom + height, bottom + height]
-        series.append(chart.outline(ring.part, x, y, colour, opacity, width=0.7))
-    return series
+    x = [ring.left, right, right, ring.left]
+    return [
+        chart.outline(ring.part, x, [low, low, low + height, low + height], colour, opacity, width=0.7)
+        for low, height in ring.boxes
+    ]
 
 
 def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:

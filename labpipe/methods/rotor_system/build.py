@@ -305,7 +305,6 @@ def build(
 
 
 def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
-    """A pedestal of which nothing is known but its order of magnitude."""
     linear = system.linear.get(place.name)
     if linear is not None:
         bearing = linear.stiffness

@@ -57,30 +57,22 @@ def rotor(
 
 
 def _by_theory(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[dict[str, Any], Document]:
-    """JSON entry and report of a rotor by theory alone, after its lines."""
     import numpy as np
 
-    from labpipe.methods.rotor.theory import (
-        crossing_rows,
-        rotor_document,
-        rotor_entry,
-        rotor_theory,
-        sentences,
-    )
+    from labpipe.methods.rotor import theory
 
     rig = system.rig
-    theory = rotor_theory(rig, np.linspace(*band, steps))
+    found = theory.rotor_theory(rig, np.linspace(*band, steps))
     echo(f"{rig.name}, {60 * rig.speed:g} rpm")
-    echo_table(("critical speed", "damping", "whirl"), list(crossing_rows(theory)), (0, 1))
-    for line in sentences(theory):
+    echo_table(("critical speed", "damping", "whirl"), list(theory.crossing_rows(found)), (0, 1))
+    for line in theory.sentences(found):
         echo(line)
-    return rotor_entry(theory), rotor_document(theory)
+    return theory.rotor_entry(found), theory.rotor_document(found)
 
 
 def _with_intervals(
     system: RotorSystem, band: tuple[float, float], steps: int
 ) -> tuple[dict[str, Any], Document]:
-    """The same of a file whose numbers carry uncertainties, with intervals."""
     from labpipe.artefacts.json_file import entry_of, without_nan
     from labpipe.methods.rotor_system.evaluate import declared_result
     from labpipe.methods.rotor_system.section import result_blocks, sentences

@@ -206,7 +206,6 @@ def _deflections(test: SystemTest, system: RotorSystem) -> evidence.Deflections:
 
 
 def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
-    """Number of the dof at a place; ConfigError for a node that the rotor does not have."""
     node, direction = place
     return system.rig.rotor.dofs(node)["yz".index(direction)]
 
@@ -409,7 +408,7 @@ def _result(
     low, high = band = float(speeds[0]), float(speeds[-1])
     operating = rig.speed if rig.speed > 0 else high
     diagram = predictions.campbell(posterior, np.union1d(speeds, [operating]))
-    pulled = pulls(posterior)
+    pulled, chi2 = pulls(posterior), posterior.chi2
     least, error, gradient = predictions.least_decrement(posterior, operating)
     short = LEAST_DECREMENT - least
     above = float(normal_tail(short / error)) if error else float(short < 0)
@@ -427,8 +426,8 @@ def _result(
             records.TestResult(
                 pull.test,
                 kinds[pull.test],
-                *posterior.chi2[pull.test],
-                chi2_tail(*posterior.chi2[pull.test]),
+                *chi2[pull.test],
+                chi2_tail(*chi2[pull.test]),
                 pull.unknown,
                 pull.z,
             )
@@ -471,7 +470,6 @@ def _unknowns(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[re
 
 
 def _people(unknown: Unknown, value: float, error: float) -> tuple[float, float]:
-    """Value and standard error of an unknown in its unit."""
     if unknown.unit:
         return value, error
     amount = unknown.nominal * float(np.exp(value))
@@ -509,7 +507,6 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
 
 
 def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
-    """The best two explanations in words."""
 
     def words(cause: Explanation) -> str:
         if cause.group:

@@ -59,7 +59,6 @@ class FreeModes:
         size, measured = np.abs(eigenvalues), np.isfinite(self.damping)
         if np.any(eigenvalues.real[measured] >= 0):
             raise FitError("a free mode has no damping", hint="name the shaft's damping as unknown")
-        # A damping ratio that was not measured may be zero.
         decay = np.where(measured, -eigenvalues.real, 1.0)
         of_size = (eigenvalues.conj()[:, None] * slopes).real / size[:, None] ** 2
         of_damping = -slopes.real / decay[:, None] - of_size
@@ -292,8 +291,7 @@ class Deflections:
             whole = model.matrices(acting, 0.0, supported=False).mass
             mass = float((rigid @ whole @ rigid.T)[0, 0])
             moved = model.slopes(acting, 0.0, rigid, rigid.T, 1.0, supported=False)[:, 0, 0].real / mass
-            misfit = np.array([self.mass - np.log(mass)])
-            parts.append((misfit / self.mass_error, -moved[None] / self.mass_error))
+            parts.append(((self.mass - np.log([mass])) / self.mass_error, -moved[None] / self.mass_error))
         residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))
         return residual, lambda: jacobian * model.acting(self.name)
 

@@ -184,7 +184,6 @@ class SystemModel:
 
     @cached_property
     def _stacks(self) -> tuple[_Stack, ...]:
-        """The terms of constant blocks by their size."""
         by_size: dict[int, list[tuple[Any, ...]]] = {}
         for number, term in enumerate(self.terms):
             if not callable(term.block):
@@ -196,7 +195,6 @@ class SystemModel:
         )
 
     def _curve(self, supported: bool) -> Iterator[tuple[int, Term]]:
-        """Terms that are no constant blocks, with their numbers."""
         return (
             (number, term)
             for number, term in enumerate(self.terms)

@@ -208,9 +208,8 @@ def critical_speeds(
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
     forces = unbalance_forces(built, posterior.values)
     amplitude = reduced.amplitudes(values, 2 * np.pi * coarse, forces, outputs)
-    all_peaks = [
-        (peak, dof) for column, dof in enumerate(outputs) for peak in peaks(coarse, amplitude[:, column])
-    ]
+    courses = zip(amplitude.T, outputs, strict=True)
+    all_peaks = [(peak, dof) for course, dof in courses for peak in peaks(coarse, course)]
     distinct: list[tuple[Critical, int]] = []
     for peak, dof in sorted(all_peaks, key=lambda pair: -pair[0].amplitude):
         if all(abs(np.log(peak.speed / other.speed)) > 0.03 for other, _ in distinct):

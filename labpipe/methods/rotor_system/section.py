@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
@@ -303,31 +304,31 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
     diagram = result.campbell
     speed = RPM * diagram.speed
     top = 2.5 * float(diagram.speed[-1])
-    panels = []
     shown = np.flatnonzero(np.any(diagram.frequency < top, axis=0)).tolist()
-    for label, values, errors in (
-        ("natural frequency", diagram.frequency, diagram.frequency_error),
-        ("log decrement", diagram.log_decrement, diagram.log_decrement_error),
-    ):
-        series: list[Series] = []
-        for mode in shown:
-            middle, error = values[:, mode], NORMAL * errors[:, mode]
-            series.append(
-                curve(f"mode {mode + 1}", speed, middle, mode % 6, band=(middle - error, middle + error))
-            )
-        if label == "natural frequency":
-            series.append(curve("1x", speed, diagram.speed, -1, "--"))
-            axis = Axis(label, "Hz", low=0.0, high=top)
-            if result.criticals:
-                at = [critical.speed for critical in result.criticals]
-                series.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
-            if result.measured:
-                turned, seen = zip(*result.measured, strict=True)
-                series.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
-        else:
-            series.append(level(LEAST_DECREMENT, -1, "--"))
-            axis = Axis(label)
-        panels.append(Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating))))
+
+    def modes(values: FloatArray, errors: FloatArray) -> list[Series]:
+        low, high = values - NORMAL * errors, values + NORMAL * errors
+        return [
+            curve(f"mode {n + 1}", speed, values[:, n], n % 6, band=(low[:, n], high[:, n])) for n in shown
+        ]
+
+    frequencies = modes(diagram.frequency, diagram.frequency_error)
+    frequencies.append(curve("1x", speed, diagram.speed, -1, "--"))
+    if result.criticals:
+        at = [critical.speed for critical in result.criticals]
+        frequencies.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
+    if result.measured:
+        turned, seen = zip(*result.measured, strict=True)
+        frequencies.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
+    decrements = modes(diagram.log_decrement, diagram.log_decrement_error)
+    decrements.append(level(LEAST_DECREMENT, -1, "--"))
+    panels = [
+        Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating)))
+        for axis, series in (
+            (Axis("natural frequency", "Hz", low=0.0, high=top), frequencies),
+            (Axis("log decrement"), decrements),
+        )
+    ]
     caption = (
         "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
         "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed; "

@@ -116,7 +116,6 @@ class SystemTest(Settings):
         self._check_texts()
 
     def _check_texts(self) -> None:
-        """ConfigError with the field of a text that cannot be read."""
         for field in ("places", "deflections", "frequencies", "damping"):
             try:
                 getattr(self, f"read_{field}")

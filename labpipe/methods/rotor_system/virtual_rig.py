@@ -97,8 +97,8 @@ def world_of(rig: RotorTestRig) -> World:
 def true_values(rig: RotorTestRig) -> dict[str, float]:
     """The unknowns by name: logarithms of factors, and amounts in their units."""
     world = world_of(rig)
-    names = [unknown.name for unknown in world.built.model.unknowns]
-    return dict(zip(names, world.values.tolist(), strict=True))
+    unknowns = zip(world.built.model.unknowns, world.values.tolist(), strict=True)
+    return {unknown.name: value for unknown, value in unknowns}
 
 
 def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
