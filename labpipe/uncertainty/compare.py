@@ -190,10 +190,7 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: 
 
 def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]:
     """ln(second / first) at every common condition (n,), its error, its changes by common sources (n_source,
-    n) [1], and the degrees of freedom of the error.
-
-    What both groups have in common, such as the sensitivity of one sensor, cancels in the difference as far
-    as it changes both alike.
+    n) [1], which cancel as far as both change alike, and the degrees of freedom of the error.
     """
     logs, errors = np.log(campaign.value), _errors(campaign)
     relative = campaign.common / campaign.value
@@ -223,7 +220,6 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
 
 
 def _strata(campaign: Campaign) -> list[BoolArray]:
-    """Tests at the same condition; all tests where no condition is named."""
     if not campaign.settings.over:
         return [np.ones(len(campaign.observations), bool)]
     numbers = [levels_of(campaign.condition, campaign.settings.tolerance)[1]]

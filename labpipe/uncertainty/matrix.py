@@ -57,7 +57,6 @@ def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
 
 
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
-    """The coefficient with another value and error; without an error where that is zero."""
     if not whole > 0:
         without = replace(like, value=value, std_error=None, std_error_inflated=None, ci95=None)
         return replace(without, t_ratio=None, significant=None)
@@ -368,10 +367,6 @@ def _of_path(settings: MatrixSettings) -> tuple[str, ...]:
 
 
 def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> _Amounts:
-    """A condition of every test in SI.
-
-    ConfigError for a test that lacks it, or has it in another dimension.
-    """
     pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
     units = sorted({unit for _, unit in pairs})
     if len(units) > 1:

@@ -126,10 +126,7 @@ class Source:
 
 
 def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSettings) -> Truth:
-    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth.
-
-    Empty where the fit's parameters differ from the rig's.
-    """
+    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth, where the rig states it."""
     if settings.kind.equations is None:
         return {}
     rows, columns = select_ports(exact, settings.input, settings.output)
@@ -226,10 +223,7 @@ def _repeat(
 
 
 def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
-    """A fit with FitError counts as not converged; intervals are those of the estimator alone.
-
-    ConfigError for settings that give several fits.
-    """
+    """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
     try:
         fits = identify(response, settings, judging=False)
     except FitError:
@@ -406,11 +400,8 @@ def _threshold(
     tell: Tell,
     cases: Sequence[StudyCase],
 ) -> StudyThreshold:
-    """Bisection over the logarithm of the noise.
-
-    The same draws at every level keep the success rate from jittering. A level is left as soon as too many
-    repeats are lost; those that were lost at the level before come first, since most are lost again. Levels
-    below one of the *cases* that is held, or above one that is lost, are decided by that.
+    """Bisection over the logarithm of the noise, with the same draws at every level. One is left as soon as
+    too many repeats are lost, those of the level before first; the *cases* decide levels beyond theirs.
     """
     count = int(settings.lines[0]) if settings.lines else None
     numbers = list(range(min(settings.repeats, SEARCH_REPEATS)))

@@ -149,18 +149,15 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     both ends, exact to first order for equal n_i. Searle, Casella and McCulloch, Variance Components (1992),
     sec. 3.5-3.6. FitError for fewer than two settings or no repeats. Equation (comp-components).
     """
-    names = np.unique(groups)
-    counts = np.array([np.sum(groups == name) for name in names])
-    a, n = names.size, values.size
+    _, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
+    a, n = counts.size, values.size
     if a < 2 or n <= a:
         raise FitError(
             f"{n} test(s) in {a} setting(s) show no scatter within and between",
             hint="repeat tests in two settings or more",
         )
-    means = np.array([np.mean(values[groups == name]) for name in names])
-    within_sum = float(
-        sum(np.sum((values[groups == name] - mean) ** 2) for name, mean in zip(names, means, strict=True))
-    )
+    means = np.bincount(group, values) / counts
+    within_sum = float(np.sum((values - means[group]) ** 2))
     between_sum = float(np.sum(counts * (means - np.mean(values)) ** 2))
     within, between = within_sum / (n - a), between_sum / (a - 1)
     if not within > 0:

@@ -281,7 +281,7 @@ class Stability:
 
 
 def threshold_speed(
-    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-4
+    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]
 ) -> float | None:
     """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
     stable at all of them.
@@ -293,7 +293,7 @@ def threshold_speed(
     def excess(speed: FloatArray) -> FloatArray:
         return stability.growth(speed, *coefficients(speed)) - GROWTH_TOLERANCE
 
-    return first_onset(lambda speed: float(excess(np.array([speed]))[0]), places, excess(places), tolerance)
+    return first_onset(lambda speed: float(excess(np.array([speed]))[0]), places, excess(places), 1e-4)
 
 
 def resonance_speed(

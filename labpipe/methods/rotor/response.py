@@ -89,9 +89,7 @@ def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> floa
     return float(np.max(roots.real))
 
 
-def onset_speed(
-    rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-3
-) -> float | None:
+def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> float | None:
     """Onset speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
     stable at all of them.
 
@@ -102,7 +100,7 @@ def onset_speed(
         return growth_rate(rotor, supports(speed), speed) - GROWTH_TOLERANCE
 
     speeds = list(speeds)
-    return first_onset(excess, speeds, map(excess, speeds), tolerance)
+    return first_onset(excess, speeds, map(excess, speeds), 1e-3)
 
 
 def first_onset(

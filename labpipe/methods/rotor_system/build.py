@@ -121,7 +121,6 @@ class Theory:
 
     @cached_property
     def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
-        """Stiffness and damping are one evaluation."""
         return {}
 
     @cached_property

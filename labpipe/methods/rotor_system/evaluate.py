@@ -120,7 +120,6 @@ def _fit(
     work: Work,
     runs: Mapping[str, RunUp],
 ) -> tuple[Built, SystemPosterior]:
-    """Intervals of predictions are half as wide again where a test misfits: sizes are poorly known."""
 
     def fitted(alternative: str) -> tuple[Built, SystemPosterior]:
         built = build(system, settings.small_errors, sensors, alternative)
@@ -211,7 +210,6 @@ def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
 
 
 def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
-    """Modes as they stand in the section, or of a modal fit."""
     if test.fit:
         modal = [fit for fit in work.fits if fit.detail(Modes) is not None]
         chosen = [fit for fit in modal if fit.name == test.fit]
@@ -284,7 +282,6 @@ def _responses(
 
 
 def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work) -> Iterator[Finding]:
-    """Natural frequencies in the bearings that no bearing can give the rotor that was on strings."""
     with_modes = [test for test in settings.tests if test.fit or test.frequencies]
     free = [test for test in with_modes if test.kind == MODES or test.free]
     coupled = any(
@@ -522,7 +519,6 @@ def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) 
 
 
 def _notes(posterior: SystemPosterior) -> Iterator[Finding]:
-    """How the intervals came about, and what no test tells."""
     if posterior.refits is not None:
         yield note(
             "first-order",

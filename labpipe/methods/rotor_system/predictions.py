@@ -330,9 +330,6 @@ def _over_speed(
     test: RunUpVectors,
     weights: ComplexArray,
 ) -> VibrationResult:
-    """What the weights do from half the lowest of the speeds they are made for to beyond the highest, and to
-    the operating speed.
-    """
     asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
     speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
     wide = replace(test, speed=2 * np.pi * speed)

@@ -29,7 +29,6 @@ LEAST_SHARE = 0.01
 
 
 def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, str]]:
-    """What rules and lists address: value, standard error, unit by name."""
     amounts: dict[str, tuple[float, float | None, str]] = {
         unknown.name.replace(" ", "_"): (unknown.value, unknown.error, unknown.unit)
         for unknown in result.unknowns
@@ -53,7 +52,6 @@ def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, 
 
 
 def _decisions(result: RotorSystemResult) -> dict[str, str]:
-    """Limits that are kept, broken or undecided by their 95 % intervals, by name: "margin_1: kept"."""
     decisions = {
         f"margin_{place}": decision(critical.met)
         for place, critical in enumerate(result.criticals, 1)
@@ -260,15 +258,8 @@ def budget_table(result: RotorSystemResult) -> Table:
 def test_table(result: RotorSystemResult) -> Table:
     """Tests, how well the common rotor fits them, and what each pulls."""
     rows = tuple(
-        (
-            test.name,
-            test.kind,
-            f"{test.chi2:.1f} of {test.n}",
-            number(test.probability, 2),
-            test.pulled,
-            f"{test.z:+.1f}",
-        )
-        for test in result.tests
+        (t.name, t.kind, f"{t.chi2:.1f} of {t.n}", number(t.probability, 2), t.pulled, f"{t.z:+.1f}")
+        for t in result.tests
     )
     header = ("test", "kind", "chi-square", "probability", "pulls", "standard errors")
     return Table(header, rows, "Tests: a pull beyond 3 contradicts the others", (3, 5))
@@ -294,9 +285,8 @@ def vibration_figure(vibration: VibrationResult) -> Figure:
     caption = (
         "Vibration that is expected over speed, as it is and with the weights, the latter with its 95 % band."
     )
-    return Figure(
-        stack([Panel(Axis("speed", "rpm"), axis, series)], 3.0), caption, "Vibration before and after weights"
-    )
+    chart = stack([Panel(Axis("speed", "rpm"), axis, series)], 3.0)
+    return Figure(chart, caption, "Vibration before and after weights")
 
 
 def campbell_figure(result: RotorSystemResult) -> Figure:
@@ -343,20 +333,14 @@ def unknown_figure(result: RotorSystemResult) -> Figure:
     """How far each unknown has moved from what was declared, in units of that uncertainty."""
     ungrouped = [unknown for unknown in result.unknowns if not unknown.group]
     place = np.arange(len(ungrouped), dtype=float)
-    moved, error = np.array(
-        [
-            ((unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error)
-            for unknown in ungrouped
-        ]
-    ).T
+    amounts = [(u.value - u.prior, u.error, u.prior_error) for u in ungrouped]
+    off, left, declared = np.array(amounts).reshape(-1, 3).T
+    moved, error = off / declared, left / declared
     bars = (moved - NORMAL * error, moved + NORMAL * error)
     series = (curve("all tests", place, moved, 0, "", marker="o", bars=bars), level(0.0))
     ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(ungrouped))
-    panel = Panel(
-        Axis("", ticks=ticks, low=-0.7, high=len(ungrouped) - 0.3),
-        Axis("moved by, in declared errors"),
-        series,
-    )
+    names = Axis("", ticks=ticks, low=-0.7, high=len(ungrouped) - 0.3)
+    panel = Panel(names, Axis("moved by, in declared errors"), series)
     caption = "How far the tests move the unknowns, in declared standard uncertainties; bars: 95 %."
     return Figure(stack([panel], 3.4), caption, "Unknowns relative to their declared values")
 

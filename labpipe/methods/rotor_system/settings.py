@@ -105,9 +105,8 @@ class SystemTest(Settings):
             words = {MODES: "one of fit and frequencies", STATIC: "deflections or mass"}
             raise SettingError(KEYS[self.kind][0], f"{words.get(self.kind, KEYS[self.kind][0])}: is missing")
         if self.fit and self.frequencies:
-            raise SettingError(
-                "fit", "natural frequencies are those of 'fit' or 'frequencies'", "one of them"
-            )
+            what = "natural frequencies are those of 'fit' or 'frequencies'"
+            raise SettingError("fit", what, "one of them")
         self.require_not_negative("speed", "gain", "slow_roll")
         if len(set(self.numbers)) < len(self.numbers) or any(n < 1 or n % 1 for n in self.numbers):
             raise SettingError("numbers", "'numbers' are whole, from 1 on, and differ", "numbers: [1, 3]")

@@ -105,7 +105,7 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
         numbers = {key: list(of_key.values()) for key, of_key in taken.items()}
         numbers |= {"pedestals": [pedestal.stiffness for pedestal in stated], "damping": [internal]}
         _check_sources(system, entries, numbers, faults)
-        _check_freed(system, estimated, entries, faults)
+        _check_freed(system, estimated, entries.get("estimate", tree), faults)
     faults.raise_any()
     assert system is not None
     return system
@@ -141,9 +141,7 @@ def _check_sources(
             faults.add(entries[key], key, what, "leave it out")
 
 
-def _check_freed(
-    system: RotorSystem, estimated: tuple[str, ...], entries: Mapping[str, Marked], faults: Faults
-) -> None:
+def _check_freed(system: RotorSystem, estimated: tuple[str, ...], node: Marked, faults: Faults) -> None:
     rig = system.rig
     freed = {
         "young": True,
@@ -156,7 +154,7 @@ def _check_freed(
     }
     for name in estimated:
         if name in ESTIMATED and not freed.get(name, system.linear):
-            faults.add(entries["estimate"], "estimate", f"the rotor has nothing that '{name}' frees")
+            faults.add(node, "estimate", f"the rotor has nothing that '{name}' frees")
 
 
 def _listing(node: Marked | None) -> list[Marked]:
