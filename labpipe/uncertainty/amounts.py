@@ -100,11 +100,12 @@ def common_changes(fits: Sequence[Fit], change_of: Callable[[Fit, str], float]) 
 
     *change_of*: of a fit and a source. Sources of one name are one error; none gives (0, n_fit).
     """
-    sources = dict.fromkeys(
-        source.source for fit in fits if fit.budget is not None for source in fit.budget.sources
-    )
-    return np.array([[change_of(fit, source) for fit in fits] for source in sources]).reshape(
-        len(sources), len(fits)
+    sources = [() if fit.budget is None else fit.budget.sources for fit in fits]
+    return matrix_of(
+        [
+            {source.source: change_of(fit, source.source) for source in of_fit}
+            for fit, of_fit in zip(fits, sources, strict=True)
+        ]
     )
 
 

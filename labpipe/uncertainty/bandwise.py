@@ -19,6 +19,7 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, parameter_changes, random_error
 from labpipe.uncertainty.settings import CompareSettings
+from labpipe.uncertainty.weighted import dof_of_sum
 
 ANY = "k"
 MOST_NAMED = 8
@@ -56,9 +57,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     names = _parameters(settings, tests)
     every = itertools.product(names, *tests.fits)
     pairs = [(a, b, name) for name, a, b in every if (a.band_hz, a.term) == (b.band_hz, b.term)]
-    usable = [
-        (a, b, name) for a, b, name in pairs if a.parameter(name).std_error and b.parameter(name).std_error
-    ]
+    usable = [(a, b, name) for a, b, name in pairs if _has_error(a, name) and _has_error(b, name)]
     if not usable:
         raise FitError(
             "the two tests have no band in common with standard errors", hint="fit both in the same bands"
@@ -90,8 +89,11 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     )
 
 
+def _has_error(fit: Fit, name: str) -> bool:
+    return any(parameter.name == name and parameter.std_error for parameter in fit.parameters)
+
+
 def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
-    """The parameter of the settings, or all coefficients."""
     names = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
     if settings.parameter == ANY and ANY not in names:
         return names
@@ -108,8 +110,9 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, float]:
     """Two-sided p-value of a difference, and half the width of its 95 % interval."""
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
-    total = float(np.sqrt(np.sum(errors**2) + np.sum((second - first) ** 2)))
-    dof = total**4 / float(np.sum(errors**4 / np.array([a.dof, b.dof])))
+    shared = float(np.linalg.norm(second - first))
+    parts = np.append(errors, shared)
+    total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, np.array([a.dof, b.dof, np.inf]))
     t = (b.parameter(name).value - a.parameter(name).value) / total
     return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total
 

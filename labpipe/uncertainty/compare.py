@@ -26,7 +26,7 @@ from labpipe.uncertainty.amounts import chance, from_log, joint_errors, relative
 from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, group_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
-from labpipe.uncertainty.weighted import WeightedFit, repeatability, weighted_fit, weighted_mean
+from labpipe.uncertainty.weighted import WeightedFit, dof_of_sum, repeatability, weighted_fit, weighted_mean
 
 # Trend of a parameter over a condition: weighted straight line or power law through the tests, and its
 # significance.
@@ -56,7 +56,7 @@ def power_fit(campaign: Campaign) -> WeightedFit:
             raise FitError(f"a power law needs '{name}' above zero", hint="law: line")
     relative = campaign.relative
     columns = np.column_stack(
-        [np.ones_like(campaign.condition), *(np.log(x / _centre(campaign, x)) for x in _conditions(campaign))]
+        [np.ones_like(campaign.condition), *(np.log(x / _centre(x)) for x in _conditions(campaign))]
     )
     first = weighted_fit(columns, np.log(campaign.value), relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
@@ -66,18 +66,15 @@ def power_fit(campaign: Campaign) -> WeightedFit:
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
-    """The conditions of all tests, (n_test,) each."""
     return [campaign.condition, *([campaign.second] if campaign.settings.second else [])]
 
 
-def _centre(campaign: Campaign, x: FloatArray) -> float:
-    return float(
-        np.exp(np.mean(np.log(x))) if campaign.settings.law == "power" or np.all(x > 0) else np.mean(x)
-    )
+def _centre(x: FloatArray) -> float:
+    return float(np.exp(np.mean(np.log(x))))
 
 
 def _power(campaign: Campaign) -> Comparison:
-    fit, centre = power_fit(campaign), _centre(campaign, campaign.condition)
+    fit, centre = power_fit(campaign), _centre(campaign.condition)
     x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = fit.amount("exponent", "1", 1)
@@ -91,7 +88,7 @@ def _power(campaign: Campaign) -> Comparison:
         second = fit.amount("second_exponent", "1", 2)
         amounts.append(second)
         law += (
-            f" ({settings.second} / {_centre(campaign, campaign.second):.5g} "
+            f" ({settings.second} / {_centre(campaign.second):.5g} "
             f"{campaign.second_unit})^({display.with_error(second.value, second.std_error)})"
         )
     return _comparison(campaign, fit, amounts, law, np.column_stack([x, values]))
@@ -155,37 +152,35 @@ def difference(campaign: Campaign) -> Comparison:
     condition (n: exponent of the trend of all tests). ConfigError for groups without a common condition.
     Equation (comp-difference).
     """
-    first, second = campaign.settings.groups
     mean = _mean_of_logs(campaign)
     change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile)
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
-    result = (
-        f"{campaign.subject}: {second} against {first} {100 * change.value:+.2f} % (95 %: {low:+.2f} "
-        f"to {high:+.2f} %)"
-    )
-    return _of_groups(campaign, change, mean, result)
+    words = f"against {{}} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
+    return _of_groups(campaign, change, mean, words)
 
 
 def quotient(campaign: Campaign) -> Comparison:
     """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests."""
-    first, second = campaign.settings.groups
     mean = _mean_of_logs(campaign)
     ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
     assert ratio.ci95 is not None
-    result = (
-        f"{campaign.subject}: {second} over {first} {ratio.value:.5g} (95 %: {ratio.ci95[0]:.5g} to "
-        f"{ratio.ci95[1]:.5g})"
-    )
-    return _of_groups(campaign, ratio, mean, result)
+    low, high = ratio.ci95
+    return _of_groups(campaign, ratio, mean, f"over {{}} {ratio.value:.5g} (95 %: {low:.5g} to {high:.5g})")
 
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
-    logs, errors, common = _pair(campaign, *campaign.settings.groups)
-    return weighted_mean(logs, joint_errors(errors, common))
+    logs, errors, common, dofs = _pair(campaign, *campaign.settings.groups)
+    mean = weighted_mean(logs, joint_errors(errors, common))
+    # Parts of the mean: what is common to all conditions was not estimated from scatter.
+    parts = errors**-1.0 / np.sum(errors**-2.0)
+    rest = np.sqrt(max(mean.std_error(0) ** 2 - float(np.sum(parts**2)), 0.0))
+    return replace(mean, behind=dof_of_sum(np.append(parts, rest), np.append(dofs, np.inf)))
 
 
-def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result: str) -> Comparison:
+def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: str) -> Comparison:
+    first, second = campaign.settings.groups
+    result = f"{campaign.subject}: {second} {words.format(first)}"
     p_value = mean.p_of(0)
     verdict = "different" if p_value < campaign.settings.level else "no difference"
     pairs = f"{mean.dof + 1} condition(s) tested both ways" if campaign.settings.over else "all tests"
@@ -193,12 +188,9 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, result:
     return campaign.comparison(amounts, verdict, f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).")
 
 
-def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ln(second / first) at every common condition (n,), its error, and its changes by common sources
-    (n_source, n) [1].
-
-    What both groups have in common, such as the sensitivity of one sensor, cancels in the difference as far
-    as it changes both alike.
+def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]:
+    """ln(second / first) at every common condition (n,), its error, its changes by common sources (n_source,
+    n) [1], which cancel as far as both change alike, and the degrees of freedom of the error.
     """
     logs, errors = np.log(campaign.value), _errors(campaign)
     relative = campaign.common / campaign.value
@@ -215,19 +207,19 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, Floa
             parts = of_first, of_second
             before, after = (weighted_mean(logs[part], errors[part]) for part in parts)
             old, new = (np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0) for part in parts)
-            error = float(np.hypot(before.std_error(0), after.std_error(0)))
-            pairs.append((after.values[0] - before.values[0], error, new - old))
+            both = np.array([before.std_error(0), after.std_error(0)])
+            dof = dof_of_sum(both, np.array([before.effective_dof, after.effective_dof]))
+            pairs.append((after.values[0] - before.values[0], np.linalg.norm(both), new - old, dof))
     if not pairs:
         raise ConfigError(
             f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'",
             hint="leave `over` out",
         )
-    differences, spreads, changes = (np.array(column) for column in zip(*pairs, strict=True))
-    return differences, spreads, changes.T
+    differences, spreads, changes, dofs = (np.array(column) for column in zip(*pairs, strict=True))
+    return differences, spreads, changes.T, dofs
 
 
 def _strata(campaign: Campaign) -> list[BoolArray]:
-    """Tests at the same condition; all tests where no condition is named."""
     if not campaign.settings.over:
         return [np.ones(len(campaign.observations), bool)]
     numbers = [levels_of(campaign.condition, campaign.settings.tolerance)[1]]
@@ -238,7 +230,6 @@ def _strata(campaign: Campaign) -> list[BoolArray]:
 
 
 def _errors(campaign: Campaign) -> FloatArray:
-    """Relative errors of the values, with that of setting the condition."""
     relative, setting = campaign.relative, campaign.settings.setting_error
     if not setting:
         return relative

@@ -52,11 +52,9 @@ def conformance(value: float, error: float, limits: Limits) -> float:
     """
     if error == 0.0:
         return float(limits.hold(value))
-    return max(1.0 - _beyond((limits.high - value) / error) - _beyond((value - limits.low) / error), 0.0)
-
-
-def _beyond(z: float) -> float:
-    return 0.0 if z == math.inf else normal_tail(z)
+    return max(
+        1.0 - normal_tail((limits.high - value) / error) - normal_tail((value - limits.low) / error), 0.0
+    )
 
 
 def guard_band(error: float, risk: float) -> float:

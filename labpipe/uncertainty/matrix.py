@@ -35,18 +35,16 @@ def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     standard error of the repeats' scatter, or none for one repeat. Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
-    scatter = float(np.std(values, ddof=1)) if values.size > 1 else None
     if values.size == 1:
         return comparison.Repeated(parameters[0], 1)
-    errors = np.array(
-        [np.nan if parameter.std_error is None else parameter.std_error for parameter in parameters]
-    )
+    scatter = float(np.std(values, ddof=1))
+    # None, where there is no error, becomes NaN.
+    errors = np.array([parameter.std_error for parameter in parameters], np.float64)
     if not np.all(errors > 0):
-        plain, error = float(np.mean(values)), (scatter or 0.0) / float(np.sqrt(values.size))
+        plain, error = float(np.mean(values)), scatter / float(np.sqrt(values.size))
         reach = float(student_quantile(0.975, values.size - 1) * error)
-        return comparison.Repeated(
-            _parameter(parameters[0], plain, error, error, reach), values.size, scatter=scatter
-        )
+        parameter = _parameter(parameters[0], plain, error, error, reach)
+        return comparison.Repeated(parameter, values.size, scatter=scatter)
     mean = weighted_mean(values, errors)
     full = np.array([parameter.full_error or 0.0 for parameter in parameters])
     common = float(np.mean(np.sqrt(np.maximum(full**2 - errors**2, 0.0))))
@@ -59,7 +57,6 @@ def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
 
 
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
-    """The coefficient with another value and error; without an error where that is zero."""
     if not whole > 0:
         without = replace(like, value=value, std_error=None, std_error_inflated=None, ci95=None)
         return replace(without, t_ratio=None, significant=None)
@@ -90,14 +87,10 @@ def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str
     / sqrt(s^2 + s_0^2) of the errors by noise, Holm's correction over all of them, at *level* [1]. Equation
     (comp-validity).
     """
-    places = [
-        n
-        for n, axis in enumerate(matrix.axes)
-        if axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES)
-    ]
-    if not places or len(matrix.axes[places[0]].levels) < 2:
+    sizes = [axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES) for axis in matrix.axes]
+    if True not in sizes:
         return ""
-    place = places[0]
+    place = sizes.index(True)
     # (level of the amplitude, coefficient, p-value against the smallest amplitude).
     pairs = [
         (point.place[place], name, p_value)
@@ -105,6 +98,8 @@ def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str
         for point, name in itertools.product(points[1:], matrix.names)
         if (p_value := _chance(points[0], point, name)) is not None
     ]
+    if not pairs:
+        return ""
     corrected = holm(np.array([chance for _, _, chance in pairs]))
     differing = [(number, name) for (number, name, _), p in zip(pairs, corrected, strict=True) if p < level]
     axis = matrix.axes[place]
@@ -127,7 +122,6 @@ def _along(
 
 
 def _chance(first: comparison.MatrixPoint, other: comparison.MatrixPoint, name: str) -> float | None:
-    """p-value of the difference of a coefficient of two points."""
     pair = [value.parameter for point in (first, other) if (value := point.value(name)) is not None]
     errors = [parameter.std_error for parameter in pair if parameter.std_error is not None]
     if len(errors) < 2 or pair[0].derived or not any(errors):
@@ -186,23 +180,24 @@ def _path(
         slope = weights @ position
         slope_error = np.sqrt(weights**2 @ error**2)
         away = position[n] - np.array(settings.centre)
-        shaking = _shaken(settings, [fit for fit in fits if fit.test in point.tests])
-        path.append(
-            comparison.PathPoint(
-                float(loads[n]),
-                _pair(away),
-                _pair(error[n]),
-                float(np.hypot(*away)),
-                float(np.angle(np.exp(1j * (np.arctan2(away[1], away[0]) - settings.direction)))),
-                statics=_pair(slope),
-                statics_error=_pair(slope_error),
-                shaking=() if shaking is None else _pair(shaking[0]),
-                shaking_error=() if shaking is None else _pair(np.sqrt(np.diag(shaking[1]))),
-                p_value=None
-                if shaking is None
-                else _chance_of_slopes(slope - shaking[0], np.diag(slope_error**2), shaking[1], dof),
-            )
+        there = comparison.PathPoint(
+            float(loads[n]),
+            _pair(away),
+            _pair(error[n]),
+            float(np.hypot(*away)),
+            float(np.angle(np.exp(1j * (np.arctan2(away[1], away[0]) - settings.direction)))),
+            statics=_pair(slope),
+            statics_error=_pair(slope_error),
         )
+        shaking = _shaken(settings, [fit for fit in fits if fit.test in point.tests])
+        if shaking is not None:
+            there = replace(
+                there,
+                shaking=_pair(shaking[0]),
+                shaking_error=_pair(np.sqrt(np.diag(shaking[1]))),
+                p_value=_chance_of_slopes(slope - shaking[0], np.diag(slope_error**2), shaking[1], dof),
+            )
+        path.append(there)
     return tuple(path)
 
 
@@ -211,7 +206,6 @@ def _pair(values: FloatArray) -> tuple[float, float]:
 
 
 def _rest(settings: EquilibriumSettings, point: comparison.MatrixPoint) -> list[list[float]]:
-    """Mean position (x, y) [m] and the scatter of the repeats."""
     beside = {entry.name: entry for entry in point.beside}
     entries = [beside[settings.x], beside[settings.y]]
     for entry in entries:
@@ -356,16 +350,11 @@ def condition_matrix(
     return _judge(matrix, settings)
 
 
-@dataclass(frozen=True)
-class Amounts:
-    """A condition of all tests: its unit and values (n_test,) [unit, an SI unit]."""
-
-    unit: str
-    values: FloatArray
+# A condition of all tests: its SI unit, and values (n_test,) in it.
+_Amounts = tuple[str, FloatArray]
 
 
 def _choose(settings: MatrixSettings, fits: Sequence[Fit]) -> list[Fit]:
-    """The fit of every test; ConfigError where a test has several."""
     chosen = [fit for fit in fits if fit.name == settings.fit]
     if not chosen:
         raise FitError(f"no test has a fit '{settings.fit}'")
@@ -377,33 +366,29 @@ def _of_path(settings: MatrixSettings) -> tuple[str, ...]:
     return () if settings.path is None else (settings.path.x, settings.path.y)
 
 
-def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> Amounts:
-    """A condition of every test in SI.
-
-    ConfigError for a test that lacks it, or has it in another dimension.
-    """
+def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> _Amounts:
     pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
     units = sorted({unit for _, unit in pairs})
     if len(units) > 1:
         what = f"the condition '{name}' has the units {', '.join(units)}"
         raise ConfigError(what, hint="write it in one dimension")
-    return Amounts(units[0], np.array([value for value, _ in pairs]))
+    return units[0], np.array([value for value, _ in pairs])
 
 
 def _axes(
-    settings: MatrixSettings, amounts: Mapping[str, Amounts]
+    settings: MatrixSettings, amounts: Mapping[str, _Amounts]
 ) -> tuple[tuple[comparison.ConditionAxis, ...], list[tuple[int, ...]]]:
     """The axes with their levels, and the place of every test on them."""
     axes, numbers = [], []
     for name in settings.over:
-        levels, number = levels_of(amounts[name].values, settings.tolerance)
-        axes.append(comparison.ConditionAxis(name, amounts[name].unit, tuple(levels.tolist())))
+        unit, values = amounts[name]
+        levels, number = levels_of(values, settings.tolerance)
+        axes.append(comparison.ConditionAxis(name, unit, tuple(levels.tolist())))
         numbers.append(number.tolist())
     return tuple(axes), list(zip(*numbers, strict=True))
 
 
 def _names(settings: MatrixSettings, fits: Sequence[Fit]) -> tuple[str, ...]:
-    """The coefficients of the matrix: those named, or those that all tests have."""
     names_of = [[parameter.name for parameter in fit.parameters] for fit in fits]
     for name in settings.parameters:
         if not any(name in names for names in names_of):
@@ -419,14 +404,15 @@ def _point(
     fits: Sequence[Fit],
     members: Sequence[int],
     names: Sequence[str],
-    amounts: Mapping[str, Amounts],
+    amounts: Mapping[str, _Amounts],
 ) -> comparison.MatrixPoint:
     of_name = {name: [p for fit in fits for p in fit.parameters if p.name == name] for name in names}
     beside = []
     for name in (*settings.beside, *_of_path(settings)):
-        measured = amounts[name].values[list(members)]
+        unit, measured = amounts[name]
+        measured = measured[list(members)]
         scatter = float(np.std(measured, ddof=1)) if measured.size > 1 else 0.0
-        beside.append(comparison.Beside(name, float(np.mean(measured)), scatter, amounts[name].unit))
+        beside.append(comparison.Beside(name, float(np.mean(measured)), scatter, unit))
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
     values = tuple(repeat(parameters) for parameters in of_name.values() if parameters)
     return comparison.MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
@@ -441,7 +427,6 @@ def _beside_theory(
 
 
 def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comparison.ConditionMatrix:
-    """The matrix with its amounts, findings and statement."""
     values = [(point, value) for point in matrix.points for value in point.values]
     tested = [
         (point, value) for point, value in values if value.p_value is not None and not value.parameter.derived
@@ -468,7 +453,6 @@ def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comp
 
 
 def _largest_error(matrix: comparison.ConditionMatrix, name: str) -> Parameter:
-    """The largest standard error of a coefficient relative to its value over all points."""
     values = [value.parameter for point in matrix.points if (value := point.value(name)) is not None]
     errors = [p.full_error / abs(p.value) for p in values if p.full_error is not None and p.value]
     return Parameter(f"{name}.largest_error", max(errors, default=float("nan")), "1", derived=True)
@@ -477,7 +461,6 @@ def _largest_error(matrix: comparison.ConditionMatrix, name: str) -> Parameter:
 def _repeats_findings(
     matrix: comparison.ConditionMatrix, apart: Sequence[tuple[comparison.MatrixPoint, comparison.Repeated]]
 ) -> tuple[Finding, ...]:
-    """One warning of all points whose repeats scatter more than their errors."""
     if not apart:
         return ()
     point, value = max(apart, key=lambda pair: (pair[1].scatter or 0.0) / abs(pair[1].parameter.value or 1.0))

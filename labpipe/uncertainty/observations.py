@@ -204,7 +204,6 @@ def check_single(fits: Sequence[Fit], hint: str) -> None:
 
 
 def _choose(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
-    """The fit of every test; ConfigError where there is none, or several in a test."""
     named = fits_named(settings.fit, fits)
     chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
     if not chosen:

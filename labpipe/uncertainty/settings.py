@@ -228,9 +228,6 @@ class CompareSettings(Settings):
         self._check_theory()
 
     def _check_keys(self) -> None:
-        """ConfigError for keys that would change nothing, for those that are missing, and for settings of
-        another kind.
-        """
         kind = comparison_kind(self.kind)
         for key in self.written:
             if key not in ("kind", *kind.keys):
@@ -258,7 +255,6 @@ class CompareSettings(Settings):
         return self.over[1] if len(self.over) > 1 else ""
 
     def _check_over(self) -> None:
-        """ConfigError for more conditions than the kind takes, and for a tolerance that is no share."""
         most = comparison_kind(self.kind).conditions
         if len(self.over) > most:
             what = f"a comparison of kind {self.kind} goes over {most} condition(s), not {len(self.over)}"
@@ -268,9 +264,6 @@ class CompareSettings(Settings):
             raise SettingError("over", f"'over' names '{self.condition}' twice")
 
     def _check_theory(self) -> None:
-        """ConfigError for a theory without the entries that the conditions set, or with an estimate of one of
-        them.
-        """
         if self.theory is None:
             return
         loop = comparison_kind(self.kind).loop

@@ -30,8 +30,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import listed
-from labpipe.simulate.virtual_rigs import Truth as RigTruth
-from labpipe.simulate.virtual_rigs import VirtualRig, chosen_runs, kind_of, simulated_response
+from labpipe.simulate.virtual_rigs import Truth, VirtualRig, chosen_runs, kind_of, simulated_response
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.settings import FrfSettings
 
@@ -102,7 +101,7 @@ class Source:
     frf: FrfSettings | None
 
     @cached_property
-    def truth(self) -> RigTruth:
+    def truth(self) -> Truth:
         """True parameters by name [SI units]."""
         return kind_of(self.rig).parameters(self.rig, self.runs)
 
@@ -115,7 +114,7 @@ class Source:
         """The response, or the spectra, with the noise of a *seed*."""
         return simulated_response(self.rig, seed, self.runs or None, self.frf)
 
-    def bounds(self, settings: FitSettings) -> RigTruth:
+    def bounds(self, settings: FitSettings) -> Truth:
         """Cramer-Rao standard deviations of a fit's parameters by name, as far as the rig provides them."""
         kind = kind_of(self.rig)
         if kind.response is not None:
@@ -126,11 +125,8 @@ class Source:
         return kind.std_errors(self.rig, self.runs, settings.band or whole or (0.0, np.inf))
 
 
-def _bounds_of_response(exact: FrequencyResponse, truth: RigTruth, settings: FitSettings) -> RigTruth:
-    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth.
-
-    Empty where the fit's parameters differ from the rig's.
-    """
+def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSettings) -> Truth:
+    """sqrt(diag((J^T J)^-1)) of the weighted output error at the truth, where the rig states it."""
     if settings.kind.equations is None:
         return {}
     rows, columns = select_ports(exact, settings.input, settings.output)
@@ -227,10 +223,7 @@ def _repeat(
 
 
 def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
-    """A fit with FitError counts as not converged; intervals are those of the estimator alone.
-
-    ConfigError for settings that give several fits.
-    """
+    """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
     try:
         fits = identify(response, settings, judging=False)
     except FitError:
@@ -242,8 +235,6 @@ def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings
 
 
 # From the outcomes of many repeats to bias, scatter against the bound, coverage and success.
-
-Truth = dict[str, float]
 
 
 def summarise(
@@ -323,7 +314,6 @@ def _places(names: Sequence[str], settings: FitSettings) -> FloatArray:
 
 
 def _names(parameters: Sequence[Parameter], truth: Truth) -> list[str]:
-    """The coefficients that were estimated and whose truth is known."""
     return [p.name for p in parameters if not p.derived and p.name in truth]
 
 
@@ -410,11 +400,8 @@ def _threshold(
     tell: Tell,
     cases: Sequence[StudyCase],
 ) -> StudyThreshold:
-    """Bisection over the logarithm of the noise.
-
-    The same draws at every level keep the success rate from jittering. A level is left as soon as too many
-    repeats are lost; those that were lost at the level before come first, since most are lost again. Levels
-    below one of the *cases* that is held, or above one that is lost, are decided by that.
+    """Bisection over the logarithm of the noise, with the same draws at every level. One is left as soon as
+    too many repeats are lost, those of the level before first; the *cases* decide levels beyond theirs.
     """
     count = int(settings.lines[0]) if settings.lines else None
     numbers = list(range(min(settings.repeats, SEARCH_REPEATS)))

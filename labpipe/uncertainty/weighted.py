@@ -29,7 +29,8 @@ class WeightedFit:
 
     chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL),
     *covariance* is enlarged by the square of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t
-    instead of the normal distribution. Equation (comp-birge).
+    instead of the normal distribution. Equation (comp-birge). *behind*: degrees of freedom of the errors of
+    the values, where these were estimated from scatter themselves.
     """
 
     values: FloatArray
@@ -38,15 +39,17 @@ class WeightedFit:
     dof: int
     p_value: float | None
     inflated: bool
+    behind: float = np.inf
+
+    @property
+    def effective_dof(self) -> float:
+        """Degrees of freedom of intervals and tests, infinite where no error was estimated from scatter."""
+        return self.dof if self.inflated else self.behind
 
     @property
     def quantile(self) -> float:
         """Standard errors to either side of a 95 % interval. Equation (comp-quantile)."""
-        return (
-            distributions.student_quantile(0.975, self.dof)
-            if self.inflated
-            else distributions.normal_quantile(0.975)
-        )
+        return distributions.coverage_factor(0.95, self.effective_dof)
 
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
@@ -58,9 +61,9 @@ class WeightedFit:
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
         ratio = abs(self.values[number] - value) / self.std_error(number)
-        return 2 * (
-            distributions.student_tail(ratio, self.dof) if self.inflated else distributions.normal_tail(ratio)
-        )
+        if np.isfinite(self.effective_dof):
+            return 2 * distributions.student_tail(ratio, self.effective_dof)
+        return 2 * distributions.normal_tail(ratio)
 
 
 def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
@@ -93,11 +96,18 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
 
 
 def _whiten(columns: FloatArray, errors: FloatArray) -> FloatArray:
-    """Columns (n, m) divided by the standard errors, or by the Cholesky factor of the covariance."""
     if errors.ndim == 1:
         return columns / errors[:, None]
     whitened: FloatArray = linalg.solve_triangular(np.linalg.cholesky(errors), columns, lower=True)
     return whitened
+
+
+def dof_of_sum(errors: FloatArray, dofs: FloatArray) -> float:
+    """Welch and Satterthwaite's degrees of freedom [1] of a sum of independent parts with standard *errors*
+    (n,) [one unit] and *dofs* (n,) [1]: (sum s^2)^2 / sum (s^4 / dof).
+    """
+    spread = float(np.sum(errors**4 / dofs))
+    return float(np.sum(errors**2)) ** 2 / spread if spread else np.inf
 
 
 def weighted_mean(values: FloatArray, errors: FloatArray) -> WeightedFit:
@@ -139,18 +149,15 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     both ends, exact to first order for equal n_i. Searle, Casella and McCulloch, Variance Components (1992),
     sec. 3.5-3.6. FitError for fewer than two settings or no repeats. Equation (comp-components).
     """
-    names = np.unique(groups)
-    counts = np.array([np.sum(groups == name) for name in names])
-    a, n = names.size, values.size
+    _, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
+    a, n = counts.size, values.size
     if a < 2 or n <= a:
         raise FitError(
             f"{n} test(s) in {a} setting(s) show no scatter within and between",
             hint="repeat tests in two settings or more",
         )
-    means = np.array([np.mean(values[groups == name]) for name in names])
-    within_sum = float(
-        sum(np.sum((values[groups == name] - mean) ** 2) for name, mean in zip(names, means, strict=True))
-    )
+    means = np.bincount(group, values) / counts
+    within_sum = float(np.sum((values - means[group]) ** 2))
     between_sum = float(np.sum(counts * (means - np.mean(values)) ** 2))
     within, between = within_sum / (n - a), between_sum / (a - 1)
     if not within > 0:
@@ -304,18 +311,15 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
     differences, chances = np.empty(values.size), np.empty(values.size)
+    whole = np.diag(errors**2) if errors.ndim == 1 else errors
     for n in range(values.size):
         others = np.arange(values.size) != n
-        if errors.ndim == 1:
-            rest = weighted_mean(values[others], errors[others])
-            variance = errors[n] ** 2 + rest.std_error(0) ** 2
-        else:
-            covariance = errors[np.ix_(others, others)]
-            rest = weighted_mean(values[others], covariance)
-            # The weights of the values in their generalised least-squares mean.
-            weights = np.linalg.solve(covariance, np.ones(values.size - 1))
-            shared = float(weights @ errors[others, n] / weights.sum())
-            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * shared
+        covariance = whole[np.ix_(others, others)]
+        rest = weighted_mean(values[others], covariance)
+        # The weights of the values in their generalised least-squares mean.
+        weights = np.linalg.solve(covariance, np.ones(values.size - 1))
+        shared = float(weights @ whole[others, n] / weights.sum())
+        variance = whole[n, n] + rest.std_error(0) ** 2 - 2 * shared
         differences[n] = values[n] - rest.values[0]
         chances[n] = 2 * distributions.normal_tail(abs(differences[n]) / np.sqrt(variance))
     return differences, chances

@@ -70,6 +70,14 @@ def test_a_term_is_compared_with_its_own_alone() -> None:
     ]
 
 
+def test_a_coefficient_that_one_test_does_not_have_is_left_out() -> None:
+    """`eliminate` dropped c of the second test: k alone is compared."""
+    first, second = made([(1e4, 5.0)], "a"), made([(1e4, 5.0)], "b")
+    second = (replace(second[0], parameters=second[0].parameters[:1]),)
+    found = compared(first, second)
+    assert [band.parameter for band in found.bands] == ["k"] and "1 have no standard error" in found.statement
+
+
 def test_the_p_value_is_welch_s(rng: np.random.Generator) -> None:
     """t = 500 / (100 sqrt 2), dof = (2 s^2)^2 / (s^4 / 20 + s^4 / 20) = 40 for two fits with 20 each.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.uncertainty.compare import difference, quotient
@@ -175,3 +176,20 @@ def test_a_quotient_is_the_ratio_of_two_tests_with_the_interval_of_its_logarithm
                 [(10.0, 0.1, {}), (11.0, 0.1, {})],
             )
         )
+
+
+def test_repeats_that_scatter_leave_few_degrees_of_freedom(campaign) -> None:
+    """Welch by hand: logarithms 0, 0.1 and 1, 1.1 leave errors of 0.05 each with one degree of freedom, two
+    together, t = 4.303.
+    """
+    settings = CompareSettings(kind="difference", fit="axial", group="way", groups=("up", "down"), name="two")
+    tests = [
+        (float(np.exp(log)), 1e-3 * float(np.exp(log)), {"way": way})
+        for log, way in ((0.0, "up"), (0.1, "up"), (1.0, "down"), (1.1, "down"))
+    ]
+    found = difference(campaign(settings, tests))
+    change = next(amount for amount in found.amounts if amount.name == "difference")
+    reach = 4.302653 * 0.05 * np.sqrt(2)
+    assert change.ci95 == pytest.approx([np.exp(1 - reach) - 1, np.exp(1 + reach) - 1], rel=1e-6)
+    p_value = next(amount for amount in found.amounts if amount.name == "p_value").value
+    assert p_value == pytest.approx(2 * stats.t.sf(1 / (0.05 * np.sqrt(2)), 2), rel=1e-6)

@@ -26,6 +26,9 @@ def test_the_amplitude_up_to_which_coefficients_hold_is_said(over: tuple[str, ..
     )
     same = [({"k": (1e6, 1e3), "c": (50.0, 1.0)}, conditions) for _, conditions in tests]
     assert a_matrix(same, settings).statement.endswith("No coefficient differs up to amplitude 40 um.")
+    # Without errors nothing is tested, and nothing said.
+    bare = [({"k": (1e6 * (2.0 if "40" in on["amplitude"] else 1.0), 0.0)}, on) for _, on in tests]
+    assert "differ" not in a_matrix(bare, settings).statement
 
 
 def test_chance_alone_seldom_ends_the_range(rng) -> None:

@@ -144,9 +144,7 @@ def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed
     """
     forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
     for node, amount in unbalance.items():
-        y, z = rotor.dofs(node)
-        forces[:, y] += amount * np.asarray(speed) ** 2
-        forces[:, z] += -1j * amount * np.asarray(speed) ** 2
+        forces[:, rotor.dofs(node)] += np.outer(amount * np.asarray(speed) ** 2, [1, -1j])
     return forces
 
 
@@ -283,7 +281,7 @@ class Stability:
 
 
 def threshold_speed(
-    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-4
+    stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]
 ) -> float | None:
     """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
     stable at all of them.
@@ -295,7 +293,7 @@ def threshold_speed(
     def excess(speed: FloatArray) -> FloatArray:
         return stability.growth(speed, *coefficients(speed)) - GROWTH_TOLERANCE
 
-    return first_onset(lambda speed: float(excess(np.array([speed]))[0]), places, excess(places), tolerance)
+    return first_onset(lambda speed: float(excess(np.array([speed]))[0]), places, excess(places), 1e-4)
 
 
 def resonance_speed(

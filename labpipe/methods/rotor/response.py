@@ -89,9 +89,7 @@ def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> floa
     return float(np.max(roots.real))
 
 
-def onset_speed(
-    rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float], tolerance: float = 1e-3
-) -> float | None:
+def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> float | None:
     """Onset speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
     stable at all of them.
 
@@ -102,7 +100,7 @@ def onset_speed(
         return growth_rate(rotor, supports(speed), speed) - GROWTH_TOLERANCE
 
     speeds = list(speeds)
-    return first_onset(excess, speeds, map(excess, speeds), tolerance)
+    return first_onset(excess, speeds, map(excess, speeds), 1e-3)
 
 
 def first_onset(
@@ -141,12 +139,10 @@ def solve(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Complex
     *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
     """
     try:
-        displacements = np.linalg.solve(stiffness, forces)
+        return np.linalg.solve(stiffness, forces)
     except np.linalg.LinAlgError:
-        raise FitError(
-            "the rotor has a resonance without damping on a line", hint="move the line or add damping"
-        ) from None
-    return displacements
+        hint = "move the line or add damping"
+        raise FitError("the rotor has a resonance without damping on a line", hint=hint) from None
 
 
 def unbalance_response(
@@ -165,9 +161,7 @@ def unbalance_response(
     matrices = supported_rotor(rotor, supports)
     forces = np.zeros((speed.size, matrices.mass.shape[0], 1), np.complex128)
     for node, amount in unbalance.items():
-        y, z = rotor.dofs(node)
-        forces[:, y, 0] += amount * speed**2
-        forces[:, z, 0] += -1j * amount * speed**2
+        forces[:, rotor.dofs(node), 0] += np.outer(amount * speed**2, [1, -1j])
     return solve(dynamic_stiffness(matrices, speed, speed), forces)[:, outputs, 0]
 
 

@@ -67,15 +67,9 @@ class BearingPlace:
         def changed(bearing: Bearing) -> JournalBearing:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
-        uncertainties = [
-            replace(entry, above=changed(entry.above), below=changed(entry.below))
-            for entry in self.uncertainties
-        ]
-        return replace(
-            self,
-            bearing=changed(self.bearing),
-            uncertainties=tuple(entry for entry in uncertainties if entry.above != entry.below),
-        )
+        ends = [replace(e, above=changed(e.above), below=changed(e.below)) for e in self.uncertainties]
+        uncertain = tuple(entry for entry in ends if entry.above != entry.below)
+        return replace(self, bearing=changed(self.bearing), uncertainties=uncertain)
 
     def of_source(self, source: str) -> list[UncertainBearing]:
         """The numbers whose uncertainty is of a *source*."""
@@ -148,13 +142,10 @@ class RotorRig:
         """
         if not name:
             return self.bearings[-1]
-        for bearing in self.bearings:
-            if bearing.name == name:
-                return bearing
-        raise ConfigError(
-            f"no bearing '{name}' in {self.name}",
-            hint=nearest(name, [bearing.name for bearing in self.bearings]),
-        )
+        by_name = {bearing.name: bearing for bearing in self.bearings}
+        if name not in by_name:
+            raise ConfigError(f"no bearing '{name}' in {self.name}", hint=nearest(name, by_name))
+        return by_name[name]
 
     @property
     def amounts(self) -> dict[int, complex]:
@@ -205,10 +196,8 @@ class RotorRig:
         """The uncertainties in the bearings' entries, each source once."""
         uncertainties: dict[str, Uncertainty] = {}
         for place in self.bearings:
-            for bearing_uncertainty in place.uncertainties:
-                uncertainties.setdefault(
-                    bearing_uncertainty.uncertainty.source, bearing_uncertainty.uncertainty
-                )
+            for entry in place.uncertainties:
+                uncertainties.setdefault(entry.uncertainty.source, entry.uncertainty)
         return tuple(uncertainties.values())
 
     def ends(self, source: str) -> list[tuple[RotorRig, RotorRig]]:
@@ -232,12 +221,8 @@ class RotorRig:
         names = tuple(names) or tuple(place.name for place in self.bearings if place.is_film)
         chosen = [self.place(name) for name in names]
         purpose = f"a change of {', '.join(changes)}"
-        return replace(
-            self,
-            bearings=tuple(
-                place.with_film(purpose, changes) if place in chosen else place for place in self.bearings
-            ),
-        )
+        places = (place.with_film(purpose, changes) if place in chosen else place for place in self.bearings)
+        return replace(self, bearings=tuple(places))
 
 
 def worn_place(rig: RotorRig, name: str) -> BearingPlace:

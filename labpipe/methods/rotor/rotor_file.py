@@ -77,14 +77,11 @@ class DiscSettings(Settings):
 
     def __post_init__(self) -> None:
         if (self.mass is None) == (self.outer_diameter is None):
-            raise ConfigError(
-                "one of mass and outer_diameter is needed",
-                hint="a disc is given by its mass, or by its dimensions",
-            )
+            hint = "a disc is given by its mass, or by its dimensions"
+            raise ConfigError("one of mass and outer_diameter is needed", hint=hint)
         if self.outer_diameter is not None and self.length is None:
-            raise ConfigError(
-                "length: is missing", hint="a disc of dimensions needs its length along the shaft"
-            )
+            hint = "a disc of dimensions needs its length along the shaft"
+            raise ConfigError("length: is missing", hint=hint)
         by, idle = "dimensions", ["polar_inertia", "transverse_inertia"]
         if self.mass is not None:
             if None in (self.polar_inertia, self.transverse_inertia):

@@ -245,9 +245,8 @@ def rotor_figures(settings: Mapping[str, Any]) -> list[Figure]:
     """One sketch for every rotor that an identification's settings name, each once: of its fits and of its
     response to unbalance.
     """
-    model_settings = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
-    rigs = [settings_of_model["rig"] for settings_of_model in model_settings if settings_of_model.get("rig")]
-    rigs += [settings["unbalance"]["rig"]] if "unbalance" in settings else []
+    owners = [fit.get("model_settings") or {} for fit in settings.get("identify", [])]
+    rigs = [owner["rig"] for owner in (*owners, settings.get("unbalance", {})) if owner.get("rig")]
     distinct = [rig for number, rig in enumerate(rigs) if rig not in rigs[:number]]
     return [rotor_figure(rig) for rig in distinct]
 
@@ -270,9 +269,7 @@ def rotor_chart(sketch: RotorSketch) -> chart.Chart:
     reach, length = sketch.reach, sketch.stations[-1]
     series = [line for ring in sketch.rings for line in _draw(ring)]
     numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
-    lower = [
-        -ODD_NUMBERS * reach if number % 2 == 0 else -EVEN_NUMBERS * reach for number in range(len(numbers))
-    ]
+    lower = [-reach * (EVEN_NUMBERS if number % 2 else ODD_NUMBERS) for number in range(len(numbers))]
     series += [
         chart.level(0.0, chart.INK, "-.", width=0.6),
         chart.dots("node", sketch.stations, np.zeros(len(numbers)), chart.INK, size=2.0),
@@ -289,30 +286,32 @@ def rotor_chart(sketch: RotorSketch) -> chart.Chart:
             chart.labels([x], [(TAIL + 0.15) * reach], [name], PLACES),
         ]
     along = chart.Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
-    return chart.stack(
-        [chart.Panel(along, chart.Axis("radius", "mm", -2.3 * reach, 2.1 * reach), tuple(series))],
-        HEIGHT,
-        "above",
-    )
+    across = chart.Axis("radius", "mm", -2.3 * reach, 2.1 * reach)
+    return chart.stack([chart.Panel(along, across, tuple(series))], HEIGHT, "above")
 
 
 def _draw(ring: Ring) -> list[chart.Series]:
     colour, opacity = LOOKS[ring.part]
     right = ring.left + ring.length
-    series = []
-    for bottom, height in ring.boxes:
-        x, y = [ring.left, right, right, ring.left], [bottom, bottom, bottom + height, bottom + height]
-        series.append(chart.outline(ring.part, x, y, colour, opacity, width=0.7))
-    return series
+    x = [ring.left, right, right, ring.left]
+    return [
+        chart.outline(ring.part, x, [low, low, low + height, low + height], colour, opacity, width=0.7)
+        for low, height in ring.boxes
+    ]
 
 
 def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
     rotor, stations = rig["rotor"], node_positions(rig["rotor"])
-    shaft = [
+    rings = [
         _ring("shaft", left, entry["length"], entry["inner_diameter"], entry["outer_diameter"])
         for entry, left in zip(rotor["elements"], stations, strict=False)
     ]
-    rings = [*shaft, *_sleeves(rotor, stations), *_discs(rotor, stations)]
+    for sleeve in rotor["sleeves"]:
+        on, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
+        rings.append(_ring("sleeve", left, on["length"], on["outer_diameter"], sleeve["outer_diameter"]))
+    for disc in rotor["discs"]:
+        inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))
+        rings.append(_ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer))
     reach = max(ring.outer / 2 for ring in rings)
     centres = tuple((place["name"], MM * stations[place["node"] - 1]) for place in rig["bearings"])
     bearings = []
@@ -337,18 +336,6 @@ def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float,
 
 def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:
     return Ring(part, MM * left, MM * length, MM * inner, MM * outer)
-
-
-def _sleeves(rotor: Mapping[str, Any], stations: list[float]) -> Iterator[Ring]:
-    for sleeve in rotor["sleeves"]:
-        shaft, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
-        yield _ring("sleeve", left, shaft["length"], shaft["outer_diameter"], sleeve["outer_diameter"])
-
-
-def _discs(rotor: Mapping[str, Any], stations: list[float]) -> Iterator[Ring]:
-    for disc in rotor["discs"]:
-        inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))
-        yield _ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer)
 
 
 def node_positions(rotor: Mapping[str, Any]) -> list[float]:
@@ -412,24 +399,20 @@ def unbalance_blocks(runs: UnbalanceRuns) -> tuple[Block, ...]:
 def unbalance_figure(runs: UnbalanceRuns) -> Figure:
     panels = []
     for name in ("forward", "backward"):
-        series = [
-            chart.curve(
-                case.name, runs.speed, UM * np.array(getattr(case, name)), *chart.look(number), width=1.5
-            )
-            for number, case in enumerate(runs.cases)
-        ]
+        radii = [UM * np.array(getattr(case, name)) for case in runs.cases]
+        series = tuple(
+            chart.curve(case.name, runs.speed, radius, *chart.look(number), width=1.5)
+            for number, (case, radius) in enumerate(zip(runs.cases, radii, strict=True))
+        )
         panels.append(
-            chart.Panel(chart.Axis("speed", "Hz"), chart.Axis(name, "um", logarithmic=True), tuple(series))
+            chart.Panel(chart.Axis("speed", "Hz"), chart.Axis(name, "um", logarithmic=True), series)
         )
     caption = (
         f"{runs.rotor}: response to unbalance at node {runs.node}, wear of {runs.bearing}; forward "
         "circle above, backward below."
     )
-    return Figure(
-        chart.stack(panels, 5.0),
-        caption,
-        f"Forward and backward response to unbalance of {runs.rotor} over speed",
-    )
+    words = f"Forward and backward response to unbalance of {runs.rotor} over speed"
+    return Figure(chart.stack(panels, 5.0), caption, words)
 
 
 def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
@@ -450,7 +433,7 @@ def unbalance_outcome(rule: Rule, runs: UnbalanceRuns, compare_number: CompareNu
     values = runs.values(cases[name])
     if item not in values:
         raise rule.fault(f"a case of unbalance has no '{item}'", nearest(item, values))
-    return rule.outcome(*compare_number(rule, *values[item]))
+    return rule.outcome(*compare_number(rule, *values[item], cases[name].error(item)))
 
 
 UNBALANCE = PipelineSection(

@@ -190,10 +190,9 @@ class Rotor:
         for disc in self.discs:
             self.check_node(disc.node, "a disc")
         for sleeve in self.sleeves:
-            if not 1 <= sleeve.element <= len(self.elements):
+            if not 1 <= sleeve.element <= (n := len(self.elements)):
                 raise ConfigError(
-                    f"a sleeve sits on element {sleeve.element}, the rotor has elements 1 to "
-                    f"{len(self.elements)}"
+                    f"a sleeve sits on element {sleeve.element}, the rotor has elements 1 to {n}"
                 )
             sleeve.tube(self.elements[sleeve.element - 1])
 
@@ -342,9 +341,8 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
         _add(sleeve.element - 1, (mass, gyroscopic), inertia_matrices(element, sleeve.tube(element)))
     for disc in rotor.discs:
         y, z, about_y, about_z = range(4 * disc.node - 4, 4 * disc.node)
-        mass[[y, z, about_y, about_z], [y, z, about_y, about_z]] += [disc.mass] * 2 + [
-            disc.transverse_inertia
-        ] * 2
+        diagonal = [y, z, about_y, about_z]
+        mass[diagonal, diagonal] += [disc.mass] * 2 + [disc.transverse_inertia] * 2
         gyroscopic[about_y, about_z] += disc.polar_inertia
         gyroscopic[about_z, about_y] -= disc.polar_inertia
     # The rotor at the next speed has the same ones.
@@ -403,8 +401,6 @@ def bearing_loads(
     try:
         solution = np.linalg.solve(system, np.concatenate([applied, np.zeros(len(fixed_dofs))]))
     except np.linalg.LinAlgError:
-        hint = "check lengths and diameters"
-        raise ConfigError(
-            "the stiffnesses of the shaft's elements differ beyond all digits", hint=hint
-        ) from None
+        what = "the stiffnesses of the shaft's elements differ beyond all digits"
+        raise ConfigError(what, hint="check lengths and diameters") from None
     return (scale * solution[n_dof:]).reshape(-1, 2)

@@ -168,7 +168,6 @@ def _decrements(roots: ComplexArray) -> FloatArray:
 
 
 def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:
-    """The bearings at any speed [Hz] of a grid, by cubic splines of their coefficients."""
     nodes = [support.node for support in supports[0]]
     coefficients = np.array([[(support.stiffness, support.damping) for support in row] for row in supports])
     spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
@@ -209,7 +208,6 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
 
 
 def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTheory:
-    """The response to the file's unbalances at bearings, discs and the node that is measured."""
     rig = theory.rig
     amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
@@ -351,21 +349,17 @@ def rotor_document(theory: RotorTheory) -> Document:
     )
     blocks: list[Block] = [Paragraph(line) for line in sentences(theory)]
     shown = [n for n in range(theory.frequency.shape[1]) if (theory.frequency[:, n] < 2.5 * speed[-1]).any()]
-    lines = [curve(f"mode {n + 1}", speed, theory.frequency[:, n], n % 6) for n in shown]
+    frequencies, decrements = (
+        [curve(f"mode {n + 1}", speed, values[:, n], n % 6) for n in shown]
+        for values in (theory.frequency, theory.log_decrement)
+    )
     across = Axis("speed", "Hz")
     campbell = Panel(
         across,
         Axis("natural frequency", "Hz", low=0.0, high=float(2 * speed[-1])),
-        (*lines, curve("1x", speed, speed, -1, "--"), upright(operating)),
+        (*frequencies, curve("1x", speed, speed, -1, "--"), upright(operating)),
     )
-    damping = Panel(
-        across,
-        Axis("log decrement"),
-        (
-            *(curve(f"mode {n + 1}", speed, theory.log_decrement[:, n], n % 6) for n in shown),
-            upright(operating),
-        ),
-    )
+    damping = Panel(across, Axis("log decrement"), (*decrements, upright(operating)))
     figures: list[Block] = [
         Figure(
             stack([campbell, damping], 5.2),

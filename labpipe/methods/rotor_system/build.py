@@ -16,6 +16,7 @@ from labpipe.bearings.kinds import Bearing, BearingCoefficients, MountedBearing,
 from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.rotor import shaft
+from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
@@ -120,7 +121,6 @@ class Theory:
 
     @cached_property
     def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
-        """Stiffness and damping are one evaluation."""
         return {}
 
     @cached_property
@@ -128,10 +128,12 @@ class Theory:
         return {}
 
 
+# Relative uncertainty of an unbalance that is stated without one.
+EXACT = 1e-6
 # Apparent mass at a bearing that an unknown of 1 stands for [kg].
 APPARENT = 5.0
-# The name under which predictions ask for what acts at speed.
-RUNNING = "at speed"
+# The name under which predictions ask for what acts at speed; no test has it.
+RUNNING = ""
 DIRECTIONS = ("y", "z")
 COEFFICIENTS = ("yy", "yz", "zy", "zz")
 
@@ -183,6 +185,44 @@ class LinearBearing:
     skew: bool = False
 
 
+def linear_bearing(
+    place: BearingPlace,
+    settings: LinearBearingSettings,
+    stiffness_error: float,
+    damping_error: float,
+    cross_error: float,
+) -> LinearBearing:
+    """A bearing of a rotor file with the uncertainties of its coefficients; where one has none, these shares
+    [1] of its stiffness or damping, and of the direct stiffness for a seal's cross-coupling.
+    """
+    stated = {entry.key: entry.uncertainty.std_error for entry in place.uncertainties}
+    k, c = settings.stiffness, settings.damping
+    bare = not (k[0, 1] or k[1, 0] or {"k_yz", "k_zy"} & stated.keys())
+    skew = settings.k_cross is not None or (cross_error > 0 and bare)
+
+    def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
+        names = [f"{letter}_{label}" for label in COEFFICIENTS]
+        if letter == "k" and settings.k_zz is None:
+            names[3] = "k_yy"
+        if letter == "k" and skew:
+            names[1] = names[2] = "k_cross"
+        if letter == "c" and settings.c is not None:
+            names[0] = names[3] = "c"
+        # A direct coefficient keeps its sign, so that it is the logarithm that is uncertain.
+        sizes = np.abs(values).ravel()
+        units = np.where((sizes > 0) & np.array([True, False, False, True]), sizes, 1.0)
+        usual = sizes * default / units
+        if letter == "k" and skew:
+            usual[1] = usual[2] = cross_error * float(np.mean(np.abs(np.diag(values))))
+        coefficients = zip(names, units, usual, strict=True)
+        errors = [stated[name] / unit if name in stated else error for name, unit, error in coefficients]
+        return np.array(errors).reshape(2, 2)
+
+    return LinearBearing(
+        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None, skew
+    )
+
+
 @dataclass(frozen=True)
 class RotorSystem:
     """A rotor and what is known of it. *rig*: shaft, discs, bearings, speed.
@@ -203,12 +243,18 @@ class RotorSystem:
     linear: Mapping[str, LinearBearing] = field(default_factory=dict)
 
     @property
-    def is_uncertain(self) -> bool:
-        """Whether the plain theory of its rig says less than there is."""
+    def has_unknown(self) -> bool:
+        """Whether any number of it is uncertain."""
         errors = [*self.young.values(), *self.masses, *(error for _, _, error in self.sleeves.values())]
         errors += [error for _, _, error in self.unbalances]
         errors += [float(np.max([b.stiffness_error, b.damping_error])) for b in self.linear.values()]
-        return any(errors) or bool(self.pedestals or self.internal[0] or self.rig.sources)
+        errors += [self.internal[1], *(pedestal.error for pedestal in self.pedestals)]
+        return any(errors) or bool(self.rig.sources)
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the plain theory of its rig says less than there is."""
+        return self.has_unknown or bool(self.pedestals or self.internal[0])
 
 
 @dataclass(frozen=True)
@@ -258,7 +304,6 @@ def build(
 
 
 def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
-    """A pedestal of which nothing is known but its order of magnitude."""
     linear = system.linear.get(place.name)
     if linear is not None:
         bearing = linear.stiffness
@@ -310,7 +355,7 @@ class _Builder:
         planes = {}
         for node, mean, error in self.system.unbalances:
             parts = [
-                self.unknown(f"unbalance {node} {axis}", error, part, unit="kg.m")
+                self.unknown(f"unbalance {node} {axis}", error or EXACT * abs(mean), part, unit="kg.m")
                 for axis, part in (("re", mean.real), ("im", mean.imag))
             ]
             if all(parts):

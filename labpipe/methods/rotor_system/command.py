@@ -44,49 +44,41 @@ def rotor(
     from labpipe.document.render import DOCUMENTS
     from labpipe.methods.rotor_system.system_file import load_system
 
+    render = None if output is None else DOCUMENTS.load(output.suffix.lstrip("."))
     system = load_system(rotor_path, overrides)
     band = _band(speeds, system.rig.speed)
-    entry, document = (
-        _with_intervals(system, band) if system.is_uncertain else _by_theory(system, band, steps)
-    )
+    entry, document = (_with_intervals if system.is_uncertain else _by_theory)(system, band, steps)
     if json_path is not None:
         with output_file(json_path) as path:
             path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
-    if output is not None:
-        render = DOCUMENTS.load(output.suffix.lstrip("."))
+    if output is not None and render is not None:
         with output_file(output) as path:
             path.write_bytes(render(document))
 
 
 def _by_theory(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[dict[str, Any], Document]:
-    """JSON entry and report of a rotor by theory alone, after its lines."""
     import numpy as np
 
-    from labpipe.methods.rotor.theory import (
-        crossing_rows,
-        rotor_document,
-        rotor_entry,
-        rotor_theory,
-        sentences,
-    )
+    from labpipe.methods.rotor import theory
 
     rig = system.rig
-    theory = rotor_theory(rig, np.linspace(*band, steps))
+    found = theory.rotor_theory(rig, np.linspace(*band, steps))
     echo(f"{rig.name}, {60 * rig.speed:g} rpm")
-    echo_table(("critical speed", "damping", "whirl"), list(crossing_rows(theory)), (0, 1))
-    for line in sentences(theory):
+    echo_table(("critical speed", "damping", "whirl"), list(theory.crossing_rows(found)), (0, 1))
+    for line in theory.sentences(found):
         echo(line)
-    return rotor_entry(theory), rotor_document(theory)
+    return theory.rotor_entry(found), theory.rotor_document(found)
 
 
-def _with_intervals(system: RotorSystem, band: tuple[float, float]) -> tuple[dict[str, Any], Document]:
-    """The same of a file whose numbers carry uncertainties, with intervals."""
+def _with_intervals(
+    system: RotorSystem, band: tuple[float, float], steps: int
+) -> tuple[dict[str, Any], Document]:
     from labpipe.artefacts.json_file import entry_of, without_nan
     from labpipe.methods.rotor_system.evaluate import declared_result
     from labpipe.methods.rotor_system.section import result_blocks, sentences
     from labpipe.report.document import Document, Section
 
-    result = declared_result(system, band)
+    result = declared_result(system, band, steps)
     echo(f"{result.rotor}, {60 * system.rig.speed:g} rpm, as declared")
     for line in sentences(result):
         echo(line)

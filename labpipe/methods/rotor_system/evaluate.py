@@ -56,6 +56,7 @@ from labpipe.quantities import UnitError
 from labpipe.records.finding import NORMAL, Finding, note
 from labpipe.records.fit_details import Modes
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
 # Derivatives in time by the form of an FRF.
@@ -67,8 +68,6 @@ FAINT = 0.15
 # Fall of chi-square by one further unknown from which tests disagree, the square of standard errors; falls
 # that differ by less, a factor of 20 between likelihoods, tell nothing.
 TELLING, UNDECIDED = 16.0, 6.0
-# Relative uncertainty of a number that is stated without one, where one is needed.
-EXACT = 1e-6
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
 
@@ -95,7 +94,8 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
             error.hint = "; ".join(finding.message for finding in out_of_place) or error.hint
             raise
         kinds = {test.name: test.kind for test in settings.tests}
-        result = _result(system, built, posterior, settings.band, kinds, settings.draws, settings.seed)
+        speeds = np.linspace(*settings.band, SPEEDS)
+        result = _result(system, built, posterior, speeds, kinds, settings.draws, settings.seed)
         measured = (
             (test.speed, float(frequency))
             for test in settings.tests
@@ -120,7 +120,6 @@ def _fit(
     work: Work,
     runs: Mapping[str, RunUp],
 ) -> tuple[Built, SystemPosterior]:
-    """Intervals of predictions are half as wide again where a test misfits: sizes are poorly known."""
 
     def fitted(alternative: str) -> tuple[Built, SystemPosterior]:
         built = build(system, settings.small_errors, sensors, alternative)
@@ -161,8 +160,8 @@ def most_probable(
 
 def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
     if test.kind == RESPONSE:
-        response = _response(test, work)
-        return Sensors(tuple(port.label for port in response.outputs), test.gain, test.speed > 0)
+        labels = tuple(port.label for port in _response(test, work).outputs)
+        return Sensors(labels, test.gain, test.speed > 0)
     if test.kind == RUN_UP:
         run = runs[test.name]
         labels = tuple(f"{plane} {axis}" for plane in run.planes for axis in ("x", "y"))
@@ -187,33 +186,30 @@ def _evidence(
         return _responses(test, _response(test, work), built, system)
     if test.kind == RUN_UP:
         return _vectors(test, runs[test.name], built, system)
-    places = test.read_deflections
-    outputs = list(dict.fromkeys(output for output, _, _ in places))
-    inputs = list(dict.fromkeys(force for _, force, _ in places))
+    return _deflections(test, system)
+
+
+def _deflections(test: SystemTest, system: RotorSystem) -> evidence.Deflections:
+    places = [(_dof(system, to), _dof(system, force), number) for to, force, number in test.read_deflections]
+    outputs = tuple(dict.fromkeys(output for output, _, _ in places))
+    inputs = tuple(dict.fromkeys(force for _, force, _ in places))
     measured, error = (np.full((len(outputs), len(inputs)), np.nan) for _ in range(2))
     for output, force, number in places:
         at = outputs.index(output), inputs.index(force)
         measured[at], error[at] = number.value, number.std_error
-    mass = test.mass
-    return evidence.Deflections(
-        test.name,
-        tuple(_dof(system, place) for place in outputs),
-        tuple(_dof(system, place) for place in inputs),
-        measured,
-        error,
-        float("nan") if mass is None else float(np.log(mass.value)),
-        1.0 if mass is None else mass.std_error / mass.value,
-    )
+    whole = evidence.Deflections(test.name, outputs, inputs, measured, error)
+    if test.mass is None:
+        return whole
+    share = test.mass.std_error / test.mass.value
+    return replace(whole, mass=float(np.log(test.mass.value)), mass_error=share)
 
 
 def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
-    """Number of the dof at a place; ConfigError for a node that the rotor does not have."""
     node, direction = place
     return system.rig.rotor.dofs(node)["yz".index(direction)]
 
 
 def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
-    """Modes as they stand in the section, or of a modal fit."""
     if test.fit:
         modal = [fit for fit in work.fits if fit.detail(Modes) is not None]
         chosen = [fit for fit in modal if fit.name == test.fit]
@@ -239,10 +235,11 @@ def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
         if not np.all(np.isfinite(f_error)):
             raise DataError(f"test '{test.name}': a mode of fit '{test.fit}' has no interval")
     else:
-        frequency = np.array([number.value for number in test.read_frequencies])
-        f_error = np.array([number.std_error for number in test.read_frequencies])
-        damping = np.array([number.value for number in test.read_damping] or [np.nan] * frequency.size)
-        d_error = np.array([number.std_error for number in test.read_damping] or [np.nan] * frequency.size)
+        unknown = [Uncertain(np.nan, np.nan)] * len(test.frequencies)
+        (frequency, f_error), (damping, d_error) = (
+            np.array([(number.value, number.std_error) for number in numbers]).T
+            for numbers in (test.read_frequencies, test.read_damping or unknown)
+        )
     numbers = np.array(test.numbers or range(1, frequency.size + 1), dtype=int)
     if numbers.size != frequency.size:
         raise ConfigError(f"test '{test.name}': {numbers.size} numbers for {frequency.size} modes")
@@ -258,22 +255,25 @@ def _responses(
     variance = response.variance
     if variance is None:
         raise DataError(f"test '{test.name}': the noise of its FRF is not known")
-    places = test.read_places
+    whole = (*response.outputs, *response.inputs)
+    _check_places(test, [name for port in whole for name in (port.dof, port.label)])
     outputs, inputs = (
-        tuple(_dof(system, _place(test, places, port.dof, port.label)) for port in ports)
+        tuple(_dof(system, _place(test, port.dof, port.label)) for port in ports)
         for ports in (response.outputs, response.inputs)
     )
     low, high = test.band or (0.0, np.inf)
     kept = (response.frequency >= max(low, 1e-9)) & (response.frequency <= high)
     if not kept.any():
         raise DataError(f"test '{test.name}': no line lies in its band")
+    if np.any(variance[kept] <= 0):
+        raise DataError(f"test '{test.name}': the noise of its FRF is zero", hint="state its variance")
     return evidence.Responses(
         test.name,
         2 * np.pi * response.frequency[kept],
         outputs,
         inputs,
         response.matrix[kept],
-        np.sqrt(np.maximum(variance[kept] / 2, 1e-300)),
+        np.sqrt(variance[kept] / 2),
         derivative=DERIVATIVES[response.form],
         spin=2 * np.pi * test.speed,
         supported=not test.free,
@@ -282,7 +282,6 @@ def _responses(
 
 
 def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work) -> Iterator[Finding]:
-    """Natural frequencies in the bearings that no bearing can give the rotor that was on strings."""
     with_modes = [test for test in settings.tests if test.fit or test.frequencies]
     free = [test for test in with_modes if test.kind == MODES or test.free]
     coupled = any(
@@ -291,7 +290,7 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
     for test in with_modes:
         if test.kind == MODES or test.free or test.speed:
             continue
-        inputs = [_place(test, test.read_places, p.dof)[1] for p in _response(test, work).inputs]
+        inputs = [_place(test, p.dof, p.label)[1] for p in _response(test, work).inputs]
         planes = 2 if coupled else len(set(inputs))
         bearings, pedestals = len(system.rig.bearings), len(system.pedestals)
         for hung in free:
@@ -309,8 +308,18 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
                 )
 
 
-def _place(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str) -> tuple[int, str]:
+def _check_places(test: SystemTest, names: Sequence[str]) -> None:
+    """ConfigError for an entry of `places` that is of no dof or plane."""
+    for name in test.read_places:
+        if name not in names:
+            raise ConfigError(
+                f"test '{test.name}': places: no dof or plane '{name}'", hint=nearest(name, names)
+            )
+
+
+def _place(test: SystemTest, *names: str) -> tuple[int, str]:
     """Where a dof or plane is: as `places` says, else as its name does ("3y", "node 3")."""
+    places = test.read_places
     for name in names:
         if name in places:
             return places[name]
@@ -324,13 +333,13 @@ def _place(test: SystemTest, places: Mapping[str, tuple[int, str]], *names: str)
 
 
 def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> evidence.RunUpVectors:
-    places = test.read_places
+    _check_places(test, [*run.planes, *run.unbalance])
     outputs: list[int] = []
     measured: list[ComplexArray] = []
     noise: list[FloatArray] = []
     error = np.sqrt((run.amplitude_error**2 + (np.abs(run.response) * run.phase_error) ** 2) / 2)
     for number, plane in enumerate(run.planes):
-        y, z = system.rig.rotor.dofs(_place(test, places, plane)[0])
+        y, z = system.rig.rotor.dofs(_place(test, plane)[0])
         # x along the load is -z, and y a quarter turn further with the spin is y.
         along_load = ((z, -1.0), (y, 1.0)) if test.axes == "load" else ((y, 1.0), (z, 1.0))
         for axis, (dof, sign) in enumerate(along_load):
@@ -341,7 +350,7 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
         raise DataError(f"test '{test.name}': a shaker excites this run", hint="give it as an FRF")
     turned = -1j if test.axes == "load" else 1.0
     added = tuple(
-        (system.rig.rotor.dofs(_place(test, places, plane)[0])[0], turned * amount)
+        (system.rig.rotor.dofs(_place(test, plane)[0])[0], turned * amount)
         for plane, amount in run.unbalance.items()
         if amount
     )
@@ -364,15 +373,14 @@ def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) ->
     )
 
 
-def declared_result(system: RotorSystem, band: tuple[float, float]) -> records.RotorSystemResult:
-    """What a rotor file says before anything is measured, over speeds [Hz]: intervals by what it declares.
-
-    An unbalance without uncertainty drives the response as well, known as good as exactly.
+def declared_result(system: RotorSystem, band: tuple[float, float], steps: int) -> records.RotorSystemResult:
+    """What a rotor file says before anything is measured, over *steps* speeds of a band [Hz]: intervals by
+    what it declares.
     """
-    stated = ((node, mean, error or EXACT * abs(mean)) for node, mean, error in system.unbalances)
-    built = build(replace(system, unbalances=tuple(stated)), SmallErrors(), {})
+    built = build(system, SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
-    return _result(system, built, posterior, band, {}, predictions.DRAWS // 2, 1)
+    speeds = np.linspace(*band, steps)
+    return _result(system, built, posterior, speeds, {}, predictions.DRAWS // 2, 1)
 
 
 def _unbalanced(posterior: SystemPosterior, built: Built) -> SystemPosterior:
@@ -388,24 +396,25 @@ def _result(
     system: RotorSystem,
     built: Built,
     posterior: SystemPosterior,
-    band: tuple[float, float],
+    speeds: FloatArray,
     kinds: Mapping[str, str],
     n_draw: int,
     seed: int,
 ) -> records.RotorSystemResult:
     rig = system.rig
-    low, high = band
+    low, high = band = float(speeds[0]), float(speeds[-1])
     operating = rig.speed if rig.speed > 0 else high
-    speeds = np.union1d(np.linspace(low, high, SPEEDS), [operating])
-    diagram = predictions.campbell(posterior, speeds)
-    least, error = diagram.least_decrement(operating)
-    pulled, gradient = pulls(posterior), predictions.decrement_gradient(posterior, operating)
+    diagram = predictions.campbell(posterior, np.union1d(speeds, [operating]))
+    pulled, chi2 = pulls(posterior), posterior.chi2
+    least, error, gradient = predictions.least_decrement(posterior, operating)
+    short = LEAST_DECREMENT - least
+    above = float(normal_tail(short / error)) if error else float(short < 0)
     criticals: list[records.CriticalResult] = []
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
         outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
         shaken = _unbalanced(posterior, built)
-        criticals = predictions.critical_speeds(shaken, built, band, operating, outputs, n_draw, seed)
+        criticals = predictions.critical_speeds(shaken, built, band, rig.speed, outputs, n_draw, seed)
     return records.RotorSystemResult(
         rig.name,
         operating,
@@ -414,8 +423,8 @@ def _result(
             records.TestResult(
                 pull.test,
                 kinds[pull.test],
-                *posterior.chi2[pull.test],
-                chi2_tail(*posterior.chi2[pull.test]),
+                *chi2[pull.test],
+                chi2_tail(*chi2[pull.test]),
                 pull.unknown,
                 pull.z,
             )
@@ -426,11 +435,11 @@ def _result(
             for group, size in posterior.sizes.items()
         ),
         campbell=diagram,
-        decrement=(least, error, float(normal_tail((LEAST_DECREMENT - least) / error)) if error else 1.0),
+        decrement=(least, error, above),
         criticals=tuple(criticals),
         onset=predictions.onset(posterior, max(low, 0.05 * operating)),
-        next_tests={} if gradient is None else _next_tests(posterior, gradient, criticals),
-        budget={} if gradient is None else budget(posterior, gradient),
+        next_tests=_next_tests(posterior, gradient / least, criticals) if least > 0 else {},
+        budget=budget(posterior, gradient) if least > 0 else {},
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,
         widened=posterior.widened,
@@ -458,7 +467,6 @@ def _unknowns(posterior: SystemPosterior, pulled: Sequence[Pull]) -> Iterator[re
 
 
 def _people(unknown: Unknown, value: float, error: float) -> tuple[float, float]:
-    """Value and standard error of an unknown in its unit."""
     if unknown.unit:
         return value, error
     amount = unknown.nominal * float(np.exp(value))
@@ -496,7 +504,6 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
 
 
 def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
-    """The best two explanations in words."""
 
     def words(cause: Explanation) -> str:
         if cause.group:
@@ -512,7 +519,6 @@ def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) 
 
 
 def _notes(posterior: SystemPosterior) -> Iterator[Finding]:
-    """How the intervals came about, and what no test tells."""
     if posterior.refits is not None:
         yield note(
             "first-order",
@@ -559,7 +565,8 @@ def _next_tests(
             speed = np.linspace(test.speed[0], top, test.speed.size)
             nearer = test.planned(speed, np.median(test.noise, axis=1))
             candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = nearer
-    errors = {"as it is": float(posterior.gradient_error(gradient))}
-    for name, test in candidates.items():
-        errors[name] = float(np.sqrt(gradient @ posterior.covariance_with(test) @ gradient))
-    return errors
+    spreads = {name: posterior.covariance_with(test) for name, test in candidates.items()}
+    return {
+        name: posterior.widened * float(np.sqrt(gradient @ spread @ gradient))
+        for name, spread in ({"as it is": posterior.covariance} | spreads).items()
+    }

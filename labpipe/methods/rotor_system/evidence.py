@@ -56,12 +56,13 @@ class FreeModes:
             there = f"{roots.values.size} bending modes, not {self.numbers.max()}"
             raise FitError(f"test '{self.name}': the rotor has {there}", hint="other `numbers`")
         eigenvalues, slopes = roots.values[self.numbers - 1], roots.slopes[self.numbers - 1]
-        size = np.abs(eigenvalues)
-        if np.any(eigenvalues.real >= 0):
+        size, measured = np.abs(eigenvalues), np.isfinite(self.damping)
+        if np.any(eigenvalues.real[measured] >= 0):
             raise FitError("a free mode has no damping", hint="name the shaft's damping as unknown")
+        decay = np.where(measured, -eigenvalues.real, 1.0)
         of_size = (eigenvalues.conj()[:, None] * slopes).real / size[:, None] ** 2
-        of_damping = slopes.real / eigenvalues.real[:, None] - of_size
-        ln = np.concatenate([np.log(size / (2 * np.pi)), np.log(-eigenvalues.real / size)])
+        of_damping = -slopes.real / decay[:, None] - of_size
+        ln = np.concatenate([np.log(size / (2 * np.pi)), np.log(decay / size)])
         return ln, np.concatenate([of_size, of_damping])
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
@@ -290,8 +291,7 @@ class Deflections:
             whole = model.matrices(acting, 0.0, supported=False).mass
             mass = float((rigid @ whole @ rigid.T)[0, 0])
             moved = model.slopes(acting, 0.0, rigid, rigid.T, 1.0, supported=False)[:, 0, 0].real / mass
-            misfit = np.array([self.mass - np.log(mass)])
-            parts.append((misfit / self.mass_error, -moved[None] / self.mass_error))
+            parts.append(((self.mass - np.log([mass])) / self.mass_error, -moved[None] / self.mass_error))
         residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))
         return residual, lambda: jacobian * model.acting(self.name)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 import scipy
@@ -183,27 +184,17 @@ class SystemModel:
 
     @cached_property
     def _stacks(self) -> tuple[_Stack, ...]:
-        """The terms of constant blocks by their size."""
-        constant = [number for number, term in enumerate(self.terms) if not callable(term.block)]
-        stacks = []
-        for size in sorted({len(self.terms[number].dofs) for number in constant}):
-            numbers = [number for number in constant if len(self.terms[number].dofs) == size]
-            terms = [self.terms[number] for number in numbers]
-            powers, turns = zip(*(POWERS[term.matrix] for term in terms), strict=True)
-            stacks.append(
-                _Stack(
-                    np.array(numbers),
-                    np.array([term.dofs for term in terms]),
-                    np.array([term.block for term in terms]),
-                    np.array(powers),
-                    np.array(turns),
-                    np.array([term.support for term in terms]),
-                )
-            )
-        return tuple(stacks)
+        by_size: dict[int, list[tuple[Any, ...]]] = {}
+        for number, term in enumerate(self.terms):
+            if not callable(term.block):
+                row = (number, term.dofs, term.block, *POWERS[term.matrix], term.support)
+                by_size.setdefault(len(term.dofs), []).append(row)
+        return tuple(
+            _Stack(*(np.array(column) for column in zip(*by_size[size], strict=True)))
+            for size in sorted(by_size)
+        )
 
     def _curve(self, supported: bool) -> Iterator[tuple[int, Term]]:
-        """Terms that are no constant blocks, with their numbers."""
         return (
             (number, term)
             for number, term in enumerate(self.terms)
@@ -238,21 +229,18 @@ class SystemModel:
         """From what multiplies the terms (n_term,) to the constant matrices in the order of POWERS, supported
         (True) and free: (5 n_dof^2, n_term).
         """
-        n, order = self.n_dof, list(POWERS.values())
-        rows, columns, entries = [], [], []
-        for stack in self._stacks:
-            matrix = np.array(
-                [order.index(key) for key in zip(stack.powers.tolist(), stack.turns.tolist(), strict=True)]
-            )
-            at = (matrix[:, None, None] * n + stack.dofs[:, :, None]) * n + stack.dofs[:, None, :]
-            rows.append(at.ravel())
-            columns.append(np.broadcast_to(stack.numbers[:, None, None], at.shape).ravel())
-            entries.append(stack.blocks.ravel())
+        n, order = self.n_dof, list(POWERS)
         shape = (len(order) * n * n, len(self.terms))
         standing = np.array([not term.support for term in self.terms])
-        if not rows:
+        if not self._stacks:
             return dict.fromkeys((True, False), scipy.sparse.csr_array(shape))
-        at, of, values = (np.concatenate(parts) for parts in (rows, columns, entries))
+        matrix = np.array([order.index(term.matrix) for term in self.terms])
+        entries = []
+        for stack in self._stacks:
+            at = (matrix[stack.numbers, None, None] * n + stack.dofs[:, :, None]) * n + stack.dofs[:, None]
+            of = np.broadcast_to(stack.numbers[:, None, None], at.shape)
+            entries.append((at.ravel(), of.ravel(), stack.blocks.ravel()))
+        at, of, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return {
             supported: scipy.sparse.coo_array((values * (supported | standing[of]), (at, of)), shape).tocsr()
             for supported in (True, False)

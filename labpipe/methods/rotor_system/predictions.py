@@ -13,9 +13,10 @@ import scipy
 from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.errors import FitError
 from labpipe.methods.balancing.influence import best_weights, rms_left, square_of
 from labpipe.methods.rotor.posterior import root_of
-from labpipe.methods.rotor.response import Modes
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE, Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
@@ -73,27 +74,35 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> Campbell:
         root, slopes = solution.values[chosen], np.where(acting, solution.slopes[chosen], 0.0)
         frequency[number, there] = root.imag / (2 * np.pi)
         f_error[number, there] = posterior.gradient_error(slopes.imag) / (2 * np.pi)
-        delta = -2 * np.pi * root.real / root.imag
-        decrement[number, there] = delta
-        moved = -2 * np.pi * slopes.real / root.imag[:, None] - (delta / root.imag)[:, None] * slopes.imag
+        decrement[number, there], moved = decrements(root, slopes)
         d_error[number, there] = posterior.gradient_error(moved)
         whirl[number, there] = modes.whirl[chosen]
     w = posterior.widened
     return Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
 
 
-def decrement_gradient(posterior: SystemPosterior, operating: float) -> FloatArray | None:
-    """Derivatives (n_unknown,) [1 over the unknown's unit] of ln of the least decrement at the *operating*
-    speed [Hz]; None where it is not above zero.
+def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float, float, FloatArray]:
+    """The least logarithmic decrement of the slowest modes at the *operating* speed [Hz], its standard error,
+    and its derivatives (n_unknown,) [1 over the unknown's unit]; FitError where nothing oscillates.
     """
     model = posterior.model
-    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating)
-    decrement = -2 * np.pi * roots.values.real / roots.values.imag
+    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating, MOST_MODES)
+    if not roots.values.size:
+        raise FitError(f"no mode of the rotor oscillates at {60 * operating:.0f} rpm")
+    slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
+    decrement, moved = decrements(roots.values, slopes)
     mode = int(np.argmin(decrement))
-    if decrement[mode] <= 0:
-        return None
-    root, slope = roots.values[mode], np.where(model.acting(RUNNING), roots.slopes[mode], 0)
-    return np.asarray(slope.real / root.real - slope.imag / root.imag)
+    error = posterior.widened * float(posterior.gradient_error(moved[mode]))
+    return float(decrement[mode]), error, moved[mode]
+
+
+def decrements(root: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s], and
+    their derivatives (n_mode, n_unknown) by those of the eigenvalues, *slopes* (n_mode, n_unknown).
+    """
+    delta = -2 * np.pi * root.real / root.imag
+    moved = -2 * np.pi * slopes.real / root.imag[:, None] - (delta / root.imag)[:, None] * slopes.imag
+    return delta, moved
 
 
 def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | None:
@@ -106,7 +115,7 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
 
     def growth(speed: float) -> float:
         eigenvalues = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES, slopes=False).values
-        return float(np.max(eigenvalues.real)) if eigenvalues.size else -1.0
+        return float(np.max(eigenvalues.real, initial=-1.0)) - GROWTH_TOLERANCE
 
     low = lowest
     for _ in range(MOST_STEPS):
@@ -199,9 +208,8 @@ def critical_speeds(
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
     forces = unbalance_forces(built, posterior.values)
     amplitude = reduced.amplitudes(values, 2 * np.pi * coarse, forces, outputs)
-    all_peaks = [
-        (peak, dof) for column, dof in enumerate(outputs) for peak in peaks(coarse, amplitude[:, column])
-    ]
+    courses = zip(amplitude.T, outputs, strict=True)
+    all_peaks = [(peak, dof) for course, dof in courses for peak in peaks(coarse, course)]
     distinct: list[tuple[Critical, int]] = []
     for peak, dof in sorted(all_peaks, key=lambda pair: -pair[0].amplitude):
         if all(abs(np.log(peak.speed / other.speed)) > 0.03 for other, _ in distinct):
@@ -322,9 +330,6 @@ def _over_speed(
     test: RunUpVectors,
     weights: ComplexArray,
 ) -> VibrationResult:
-    """What the weights do from half the lowest of the speeds they are made for to beyond the highest, and to
-    the operating speed.
-    """
     asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
     speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
     wide = replace(test, speed=2 * np.pi * speed)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 
-import numpy as np
-
 from labpipe.arrays import FloatArray
 from labpipe.records.finding import Finding
 
@@ -66,14 +64,6 @@ class Campbell:
     log_decrement: FloatArray
     log_decrement_error: FloatArray
     whirl: FloatArray
-
-    def least_decrement(self, speed: float) -> tuple[float, float]:
-        """The least logarithmic decrement at the grid speed nearest to *speed* [Hz], and its standard
-        error.
-        """
-        at = int(np.argmin(np.abs(self.speed - speed)))
-        mode = int(np.nanargmin(self.log_decrement[at]))
-        return float(self.log_decrement[at, mode]), float(self.log_decrement_error[at, mode])
 
 
 @dataclass(frozen=True)

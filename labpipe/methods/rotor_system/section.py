@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
@@ -28,7 +29,6 @@ LEAST_SHARE = 0.01
 
 
 def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, str]]:
-    """What rules and lists address: value, standard error, unit by name."""
     amounts: dict[str, tuple[float, float | None, str]] = {
         unknown.name.replace(" ", "_"): (unknown.value, unknown.error, unknown.unit)
         for unknown in result.unknowns
@@ -52,7 +52,6 @@ def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, 
 
 
 def _decisions(result: RotorSystemResult) -> dict[str, str]:
-    """Limits that are kept, broken or undecided by their 95 % intervals, by name: "margin_1: kept"."""
     decisions = {
         f"margin_{place}": decision(critical.met)
         for place, critical in enumerate(result.criticals, 1)
@@ -259,15 +258,8 @@ def budget_table(result: RotorSystemResult) -> Table:
 def test_table(result: RotorSystemResult) -> Table:
     """Tests, how well the common rotor fits them, and what each pulls."""
     rows = tuple(
-        (
-            test.name,
-            test.kind,
-            f"{test.chi2:.1f} of {test.n}",
-            number(test.probability, 2),
-            test.pulled,
-            f"{test.z:+.1f}",
-        )
-        for test in result.tests
+        (t.name, t.kind, f"{t.chi2:.1f} of {t.n}", number(t.probability, 2), t.pulled, f"{t.z:+.1f}")
+        for t in result.tests
     )
     header = ("test", "kind", "chi-square", "probability", "pulls", "standard errors")
     return Table(header, rows, "Tests: a pull beyond 3 contradicts the others", (3, 5))
@@ -293,9 +285,8 @@ def vibration_figure(vibration: VibrationResult) -> Figure:
     caption = (
         "Vibration that is expected over speed, as it is and with the weights, the latter with its 95 % band."
     )
-    return Figure(
-        stack([Panel(Axis("speed", "rpm"), axis, series)], 3.0), caption, "Vibration before and after weights"
-    )
+    chart = stack([Panel(Axis("speed", "rpm"), axis, series)], 3.0)
+    return Figure(chart, caption, "Vibration before and after weights")
 
 
 def campbell_figure(result: RotorSystemResult) -> Figure:
@@ -303,31 +294,31 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
     diagram = result.campbell
     speed = RPM * diagram.speed
     top = 2.5 * float(diagram.speed[-1])
-    panels = []
     shown = np.flatnonzero(np.any(diagram.frequency < top, axis=0)).tolist()
-    for label, values, errors in (
-        ("natural frequency", diagram.frequency, diagram.frequency_error),
-        ("log decrement", diagram.log_decrement, diagram.log_decrement_error),
-    ):
-        series: list[Series] = []
-        for mode in shown:
-            middle, error = values[:, mode], NORMAL * errors[:, mode]
-            series.append(
-                curve(f"mode {mode + 1}", speed, middle, mode % 6, band=(middle - error, middle + error))
-            )
-        if label == "natural frequency":
-            series.append(curve("1x", speed, diagram.speed, -1, "--"))
-            axis = Axis(label, "Hz", low=0.0, high=top)
-            if result.criticals:
-                at = [critical.speed for critical in result.criticals]
-                series.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
-            if result.measured:
-                turned, seen = zip(*result.measured, strict=True)
-                series.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
-        else:
-            series.append(level(LEAST_DECREMENT, -1, "--"))
-            axis = Axis(label)
-        panels.append(Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating))))
+
+    def modes(values: FloatArray, errors: FloatArray) -> list[Series]:
+        low, high = values - NORMAL * errors, values + NORMAL * errors
+        return [
+            curve(f"mode {n + 1}", speed, values[:, n], n % 6, band=(low[:, n], high[:, n])) for n in shown
+        ]
+
+    frequencies = modes(diagram.frequency, diagram.frequency_error)
+    frequencies.append(curve("1x", speed, diagram.speed, -1, "--"))
+    if result.criticals:
+        at = [critical.speed for critical in result.criticals]
+        frequencies.append(dots("critical speeds", [RPM * x for x in at], at, 6, marker="o"))
+    if result.measured:
+        turned, seen = zip(*result.measured, strict=True)
+        frequencies.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
+    decrements = modes(diagram.log_decrement, diagram.log_decrement_error)
+    decrements.append(level(LEAST_DECREMENT, -1, "--"))
+    panels = [
+        Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating)))
+        for axis, series in (
+            (Axis("natural frequency", "Hz", low=0.0, high=top), frequencies),
+            (Axis("log decrement"), decrements),
+        )
+    ]
     caption = (
         "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
         "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed; "
@@ -342,20 +333,14 @@ def unknown_figure(result: RotorSystemResult) -> Figure:
     """How far each unknown has moved from what was declared, in units of that uncertainty."""
     ungrouped = [unknown for unknown in result.unknowns if not unknown.group]
     place = np.arange(len(ungrouped), dtype=float)
-    moved, error = np.array(
-        [
-            ((unknown.value - unknown.prior) / unknown.prior_error, unknown.error / unknown.prior_error)
-            for unknown in ungrouped
-        ]
-    ).T
+    amounts = [(u.value - u.prior, u.error, u.prior_error) for u in ungrouped]
+    off, left, declared = np.array(amounts).reshape(-1, 3).T
+    moved, error = off / declared, left / declared
     bars = (moved - NORMAL * error, moved + NORMAL * error)
     series = (curve("all tests", place, moved, 0, "", marker="o", bars=bars), level(0.0))
     ticks = tuple((float(n), unknown.name) for n, unknown in enumerate(ungrouped))
-    panel = Panel(
-        Axis("", ticks=ticks, low=-0.7, high=len(ungrouped) - 0.3),
-        Axis("moved by, in declared errors"),
-        series,
-    )
+    names = Axis("", ticks=ticks, low=-0.7, high=len(ungrouped) - 0.3)
+    panel = Panel(names, Axis("moved by, in declared errors"), series)
     caption = "How far the tests move the unknowns, in declared standard uncertainties; bars: 95 %."
     return Figure(stack([panel], 3.4), caption, "Unknowns relative to their declared values")
 

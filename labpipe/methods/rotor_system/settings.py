@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from labpipe.errors import SettingError
 from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
-from labpipe.methods.rotor_system.system_file import check_unknown
+from labpipe.methods.rotor_system.system_file import ESTIMATED
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
 from labpipe.records.settings import Settings, quantity, setting
@@ -104,6 +104,9 @@ class SystemTest(Settings):
         if not needed[self.kind]:
             words = {MODES: "one of fit and frequencies", STATIC: "deflections or mass"}
             raise SettingError(KEYS[self.kind][0], f"{words.get(self.kind, KEYS[self.kind][0])}: is missing")
+        if self.fit and self.frequencies:
+            what = "natural frequencies are those of 'fit' or 'frequencies'"
+            raise SettingError("fit", what, "one of them")
         self.require_not_negative("speed", "gain", "slow_roll")
         if len(set(self.numbers)) < len(self.numbers) or any(n < 1 or n % 1 for n in self.numbers):
             raise SettingError("numbers", "'numbers' are whole, from 1 on, and differ", "numbers: [1, 3]")
@@ -112,7 +115,6 @@ class SystemTest(Settings):
         self._check_texts()
 
     def _check_texts(self) -> None:
-        """ConfigError with the field of a text that cannot be read."""
         for field in ("places", "deflections", "frequencies", "damping"):
             try:
                 getattr(self, f"read_{field}")
@@ -128,20 +130,25 @@ class SystemTest(Settings):
     @property
     def read_deflections(self) -> list[tuple[tuple[int, str], tuple[int, str], Uncertain]]:
         """(place, place of the force, deflection per force [m/N])."""
-        read = []
+        read: list[tuple[tuple[int, str], tuple[int, str], Uncertain]] = []
         for path, text in self.deflections:
             output, mark, force = path.partition("/")
             if not mark:
                 raise UnitError(f"'{path}' is no pair of places", "write 5 z / 10 z")
-            number = parse_uncertain(text, "m/N")
+            number, places = parse_uncertain(text, "m/N"), (place_of(output), place_of(force))
             if number.std_error <= 0:
                 raise UnitError(f"'{text}' needs its uncertainty", f"write {text} +- 2 %")
-            read.append((place_of(output), place_of(force), number))
+            if places in [other[:2] for other in read]:
+                raise UnitError(f"'{path}' stands there twice", "write one deflection of each pair")
+            read.append((*places, number))
         return read
 
     @property
     def read_frequencies(self) -> list[Uncertain]:
-        return [self._positive(text, "Hz") for text in self.frequencies]
+        read = [self._positive(text, "Hz") for text in self.frequencies]
+        if [number.value for number in read] != sorted(number.value for number in read):
+            raise UnitError("'frequencies' begin with the lowest")
+        return read
 
     @property
     def read_damping(self) -> list[Uncertain]:
@@ -207,7 +214,9 @@ class RotorSystemSettings(Settings):
             what = "weights need a run-up among the tests, whose probes they calm"
             raise SettingError("balance_speeds", what, "add one, or leave balance_speeds out")
         if self.system is not None:
-            check_unknown(self.system)
+            if not self.system.has_unknown:
+                hint = f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]"
+                raise SettingError("rotor", "nothing of the rotor is unknown", hint)
             self._check_places(self.system)
 
     def _check_places(self, system: RotorSystem) -> None:

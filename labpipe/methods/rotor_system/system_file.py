@@ -4,18 +4,18 @@ pedestals, damping that turns with the shaft, and what else is to be estimated.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
-from labpipe.methods.rotor.rig import BearingPlace, RotorRig
+from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import read_entries, read_rotor
-from labpipe.methods.rotor_system.build import COEFFICIENTS, LinearBearing, Pedestal, RotorSystem
+from labpipe.methods.rotor_system.build import Pedestal, RotorSystem, linear_bearing
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError
@@ -73,6 +73,9 @@ class InternalSettings(Settings):
 
     def __post_init__(self) -> None:
         self.require_not_negative("internal")
+        if self.internal.std_error and not self.internal.value:
+            what = "'internal' of zero has no uncertainty: that is one of its logarithm"
+            raise SettingError("internal", what, "30 us +- 70 %")
 
 
 def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
@@ -82,26 +85,76 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     entries = faults.mapping(tree, "")
     taken = {key: _take(entries.get(key), key, name, unit, faults) for key, name, unit in UNCERTAIN}
     pedestals = read_entries(PedestalSettings, entries.get("pedestals"), "pedestals", faults)
-    internal = _internal(entries.get("damping"), faults)
     estimated = _estimates(entries.get("estimate"), faults)
     _free_films(entries.get("bearings"), estimated)
     plain = {key: node for key, node in entries.items() if key not in ("pedestals", "estimate")}
-    if "damping" in plain and isinstance(plain["damping"].content, dict):
-        rest = {key: node for key, node in plain["damping"].content.items() if key != "internal"}
-        plain["damping"] = Marked(rest, plain["damping"].where, plain["damping"].key_where)
+    internal = Uncertain(0.0)
+    damping = plain.get("damping")
+    if damping is not None and isinstance(damping.content, dict) and "internal" in damping.content:
+        rest = dict(damping.content)
+        own = Marked({"internal": rest.pop("internal")}, damping.where, damping.key_where)
+        settings = read_settings(InternalSettings, own, "damping", faults)
+        internal = internal if settings is None else settings.internal
+        plain["damping"] = Marked(rest, damping.where, damping.key_where)
     rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
+    system = None
     if rig is not None:
-        bearings, carried = [place.name for place in rig.bearings], set[str]()
-        for node, pedestal in pedestals:
-            name = pedestal.bearing
-            if name not in bearings:
-                faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
-            if name in carried:
-                faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
-            carried.add(name)
+        _check_pedestals(rig, pedestals, faults)
+        stated = [pedestal for _, pedestal in pedestals]
+        system = _system(rig, entries, taken, stated, internal, estimated, faults)
+        numbers = {key: list(of_key.values()) for key, of_key in taken.items()}
+        numbers |= {"pedestals": [pedestal.stiffness for pedestal in stated], "damping": [internal]}
+        _check_sources(system, entries, numbers, faults)
+        _check_freed(system, estimated, entries.get("estimate", tree), faults)
     faults.raise_any()
-    assert rig is not None
-    return _system(rig, entries, taken, [pedestal for _, pedestal in pedestals], internal, estimated)
+    assert system is not None
+    return system
+
+
+def _check_pedestals(rig: RotorRig, pedestals: list[tuple[Marked, PedestalSettings]], faults: Faults) -> None:
+    bearings, carried = [place.name for place in rig.bearings], set[str]()
+    for node, pedestal in pedestals:
+        name = pedestal.bearing
+        if name not in bearings:
+            faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
+        if name in carried:
+            faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
+        carried.add(name)
+
+
+def _check_sources(
+    system: RotorSystem, entries: Mapping[str, Marked], numbers: Mapping[str, list[Uncertain]], faults: Faults
+) -> None:
+    """Only the models of bearings know one error of several numbers."""
+    named = [(key, number.source) for key, several in numbers.items() for number in several if number.source]
+    of_models = set[str]()
+    for place in system.rig.bearings:
+        sources = [entry.uncertainty.source for entry in place.uncertainties]
+        if place.name in system.linear:
+            named += [("bearings", source) for source in sources]
+        else:
+            of_models.update(sources)
+    uses = Counter(source for _, source in named)
+    for key, source in dict.fromkeys(named):
+        if uses[source] > 1 or source in of_models:
+            what = f"source={source}: only numbers of bearing models can have one error in common"
+            faults.add(entries[key], key, what, "leave it out")
+
+
+def _check_freed(system: RotorSystem, estimated: tuple[str, ...], node: Marked, faults: Faults) -> None:
+    rig = system.rig
+    freed = {
+        "young": True,
+        "masses": rig.rotor.discs,
+        "sleeves": rig.rotor.sleeves,
+        "pedestals": system.pedestals,
+        "internal": system.internal[0],
+        "unbalance": rig.unbalances,
+        **dict.fromkeys(FILM, any(place.is_film for place in rig.bearings)),
+    }
+    for name in estimated:
+        if name in ESTIMATED and not freed.get(name, system.linear):
+            faults.add(node, "estimate", f"the rotor has nothing that '{name}' frees")
 
 
 def _listing(node: Marked | None) -> list[Marked]:
@@ -134,14 +187,6 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
     return taken
 
 
-def _internal(node: Marked | None, faults: Faults) -> tuple[float, float]:
-    if node is None or not isinstance(node.content, dict) or "internal" not in node.content:
-        return 0.0, 0.0
-    entry = Marked({"internal": node.content["internal"]}, node.where, node.key_where)
-    settings = read_settings(InternalSettings, entry, "damping", faults)
-    return (0.0, 0.0) if settings is None else (settings.internal.value, _relative(settings.internal))
-
-
 def _estimates(node: Marked | None, faults: Faults) -> tuple[str, ...]:
     if node is None:
         return ()
@@ -155,11 +200,14 @@ def _estimates(node: Marked | None, faults: Faults) -> tuple[str, ...]:
 def _free_films(node: Marked | None, estimated: tuple[str, ...]) -> None:
     """What `estimate:` frees of oil films gets its uncertainty in their entries, where it has none."""
     for entry in _listing(node):
+        content = entry.content if isinstance(entry.content, dict) else {}
+        if "kind" not in content or content["kind"].text != "journal-bearing":
+            continue
         for name in FILM:
-            number = entry.content.get(name) if isinstance(entry.content, dict) else None
+            number = content.get(name)
             if name in estimated and number is not None and isinstance(number.content, str):
                 text = number.text if is_uncertain(number.text) else f"{number.text} +- {ESTIMATED[name]:.0%}"
-                entry.content[name] = Marked(text, number.where, number.key_where, text)
+                content[name] = Marked(text, number.where, number.key_where, text)
 
 
 def _relative(number: Uncertain | None) -> float:
@@ -171,8 +219,9 @@ def _system(
     entries: Mapping[str, Marked],
     taken: Mapping[str, Mapping[str, Uncertain]],
     pedestals: list[PedestalSettings],
-    internal: tuple[float, float],
+    internal: Uncertain,
     estimated: tuple[str, ...],
+    faults: Faults,
 ) -> RotorSystem:
     def free(name: str, error: float) -> float:
         return error or (ESTIMATED[name] if name in estimated else 0.0)
@@ -185,11 +234,17 @@ def _system(
     masses = tuple(
         free("masses", _relative(taken["discs"].get(str(n)))) for n in range(1, len(rig.rotor.discs) + 1)
     )
+    unbalances: dict[int, tuple[complex, float]] = {}
+    for n, part in enumerate(rig.unbalances, 1):
+        error = free("unbalance", taken["unbalances"].get(str(n), Uncertain(0.0)).std_error)
+        mean, before = unbalances.get(part.node, (0j, 0.0))
+        mean += part.size * complex(np.exp(1j * part.phase))
+        unbalances[part.node] = mean, float(np.hypot(before, error))
     return RotorSystem(
         rig,
         young,
         masses,
-        _sleeves(rig, entries.get("sleeves"), taken["sleeves"], free("sleeves", 0.0)),
+        _sleeves(rig, entries.get("sleeves"), taken["sleeves"], free("sleeves", 0.0), faults),
         tuple(
             Pedestal(
                 pedestal.bearing,
@@ -200,20 +255,10 @@ def _system(
             )
             for pedestal in pedestals
         ),
-        (internal[0], free("internal", internal[1])),
-        tuple(
-            (
-                part.node,
-                part.size * complex(np.exp(1j * part.phase)),
-                free(
-                    "unbalance",
-                    taken["unbalances"][str(n)].std_error if str(n) in taken["unbalances"] else 0.0,
-                ),
-            )
-            for n, part in enumerate(rig.unbalances, 1)
-        ),
+        (internal.value, free("internal", _relative(internal))),
+        tuple((node, *unbalance) for node, unbalance in unbalances.items()),
         {
-            place.name: _linear(place, settings, *usual)
+            place.name: linear_bearing(place, settings, *usual)
             for place in rig.bearings
             if isinstance(settings := getattr(place.bearing, "settings", None), LinearBearingSettings)
         },
@@ -221,59 +266,20 @@ def _system(
 
 
 def _sleeves(
-    rig: RotorRig, node: Marked | None, taken: Mapping[str, Uncertain], default: float
+    rig: RotorRig, node: Marked | None, taken: Mapping[str, Uncertain], default: float, faults: Faults
 ) -> dict[str, tuple[tuple[int, ...], float, float]]:
     """Sleeves by name, their elements, ln of the stiffening and its uncertainty."""
     sleeves: dict[str, tuple[tuple[int, ...], float, float]] = {}
     for number, (entry, ring) in enumerate(zip(_listing(node), rig.rotor.sleeves, strict=True), 1):
         name = entry.content["name"].text if "name" in entry.content else str(number)
         error = _relative(taken.get(str(number))) or default
-        elements, _, before = sleeves.get(name, ((), 0.0, 0.0))
-        sleeves[name] = ((*elements, ring.element), float(np.log(ring.stiffening)), max(error, before))
+        mean = float(np.log(ring.stiffening))
+        elements, other, before = sleeves.get(name, ((), mean, 0.0))
+        if other != mean:
+            what = f"a second stiffening of sleeves '{name}'"
+            faults.add(entry, "sleeves", what, "sleeves of one name have one")
+        sleeves[name] = ((*elements, ring.element), mean, max(error, before))
     return sleeves
-
-
-def _linear(
-    place: BearingPlace,
-    settings: LinearBearingSettings,
-    stiffness_error: float,
-    damping_error: float,
-    cross_error: float,
-) -> LinearBearing:
-    """The bearing with the uncertainties of its coefficients, those of `estimate` where it has none."""
-    stated = {entry.key: entry.uncertainty.std_error for entry in place.uncertainties}
-    k, c = settings.stiffness, settings.damping
-    bare = not (k[0, 1] or k[1, 0] or {"k_yz", "k_zy"} & stated.keys())
-    skew = settings.k_cross is not None or (cross_error > 0 and bare)
-
-    def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
-        names = [f"{letter}_{label}" for label in COEFFICIENTS]
-        if letter == "k" and settings.k_zz is None:
-            names[3] = "k_yy"
-        if letter == "k" and skew:
-            names[1] = names[2] = "k_cross"
-        if letter == "c" and settings.c is not None:
-            names[0] = names[3] = "c"
-        # A direct coefficient keeps its sign, so that it is the logarithm that is uncertain.
-        sizes = np.abs(values).ravel()
-        units = np.where((sizes > 0) & np.array([True, False, False, True]), sizes, 1.0)
-        usual = sizes * default / units
-        if letter == "k" and skew:
-            usual[1] = usual[2] = cross_error * float(np.mean(np.abs(np.diag(values))))
-        coefficients = zip(names, units, usual, strict=True)
-        errors = [stated[name] / unit if name in stated else error for name, unit, error in coefficients]
-        return np.array(errors).reshape(2, 2)
-
-    return LinearBearing(
-        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None, skew
-    )
-
-
-def check_unknown(system: RotorSystem) -> None:
-    """ConfigError where nothing of a rotor is unknown."""
-    if not system.is_uncertain:
-        hint = f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]"
-        raise SettingError("rotor", "nothing of the rotor is unknown", hint)
 
 
 ROTOR_SYSTEM_FILE = FileKind(load_system)

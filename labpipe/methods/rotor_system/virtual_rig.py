@@ -58,6 +58,9 @@ class RotorTestRig(Settings):
     def __post_init__(self) -> None:
         self.require_positive("amplitude", "spacing", "duration", "sample_rate")
         self.require_not_negative("acceleration_noise", "force_noise", "probe_noise", "gain")
+        n = self.sample_rate / self.spacing
+        if abs(n - round(n)) > 1e-6 * n:
+            raise SettingError("spacing", f"a period of {n:.6g} samples is no whole number of them")
         if self.periods < 2:
             raise SettingError("periods", "at least two periods are needed")
         if any(node % 1 for node in (*self.accelerations, *self.probes)):
@@ -94,8 +97,8 @@ def world_of(rig: RotorTestRig) -> World:
 def true_values(rig: RotorTestRig) -> dict[str, float]:
     """The unknowns by name: logarithms of factors, and amounts in their units."""
     world = world_of(rig)
-    names = [unknown.name for unknown in world.built.model.unknowns]
-    return dict(zip(names, world.values.tolist(), strict=True))
+    unknowns = zip(world.built.model.unknowns, world.values.tolist(), strict=True)
+    return {unknown.name: value for unknown, value in unknowns}
 
 
 def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:

@@ -15,12 +15,15 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.rig import RotorRig, Unbalance
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.section import (
+    PeakChange,
     UnbalanceCase,
     UnbalanceRuns,
     UnbalanceSettings,
     orbit,
+    unbalance_outcome,
     unbalance_runs,
 )
+from labpipe.project.rules import Rule
 from tests.methods.rotor.whole_response import frequency_response
 
 LAVAL = Path(__file__).parents[3] / "configs" / "rotors" / "laval.yaml"
@@ -156,3 +159,19 @@ def test_uncertainties_of_films_make_peaks_uncertain(tmp_path: Path) -> None:
     assert change.forward_peak == pytest.approx((above[0] - below[0]) / 2, rel=1e-6)
     assert change.forward_speed == pytest.approx((above[1] - below[1]) / 2, rel=1e-6)
     assert found["uncertainty"].error("forward_peak") == pytest.approx(abs(change.forward_peak))
+
+
+def test_a_rule_with_limits_is_decided_by_the_uncertainty_of_a_peak() -> None:
+    change = PeakChange("oil", 3e-6, 0.1, 4e-6, 0.2)
+    case = UnbalanceCase("worn", 0.0, 0.0, (1e-5, 2e-5), (1e-6, 2e-6), (change, change))
+    runs = UnbalanceRuns("rotor", "left", 1, (40.0, 41.0), (case,))
+    names = ("section", "address", "fit", "which", "kind", "bound", "place")
+    rule = Rule(**dict.fromkeys(names, ""), item="worn.forward_peak")
+    seen = []
+
+    def compare_number(*asked):
+        seen.append(asked[1:])
+        return asked[1], True, "", None
+
+    unbalance_outcome(rule, runs, compare_number)
+    assert seen == [(2e-5, "m", pytest.approx(3e-6 * np.sqrt(2)))]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy import linalg
 
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
@@ -15,7 +16,15 @@ from labpipe.methods.journal_bearing.curve import CURVE_MESH as FINE
 from labpipe.methods.rotor.response import modes
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support, free_rotor
-from labpipe.methods.rotor_system.build import LinearBearing, RotorSystem, SmallErrors, Theory, build
+from labpipe.methods.rotor_system.build import (
+    RUNNING,
+    LinearBearing,
+    RotorSystem,
+    Sensors,
+    SmallErrors,
+    Theory,
+    build,
+)
 from labpipe.methods.rotor_system.evidence import FreeModes
 from labpipe.methods.rotor_system.system_file import load_system
 from tests.methods.rotor_system.two_discs import (
@@ -26,6 +35,7 @@ from tests.methods.rotor_system.two_discs import (
     four_tests,
     mass_of,
     run_up,
+    system,
     true_values,
     variant,
 )
@@ -61,7 +71,7 @@ def test_free_modes_of_an_independent_calculation() -> None:
 def test_eigenvalues_of_an_independent_calculation(rpm: int) -> None:
     """With its internal damping, without which the modes at speed are others."""
     of = built()
-    values = np.where(of.model.acting("at speed"), true_values(of), 0.0)
+    values = np.where(of.model.acting(RUNNING), true_values(of), 0.0)
     roots = of.model.roots(values, rpm * np.pi / 30, 4).values
     real, imaginary = EIGENVALUES[rpm]
     assert roots.real == pytest.approx(real, rel=2e-6) and roots.imag == pytest.approx(imaginary, rel=2e-6)
@@ -308,7 +318,7 @@ def test_damping_that_turns_with_the_shaft_makes_it_unstable_above_the_critical_
     damping that stands still as well, above it times 1 + standing over turning damping of the mode.
     """
     of = built()
-    values = np.where(of.model.acting("at speed"), true_values(of), 0.0)
+    values = np.where(of.model.acting(RUNNING), true_values(of), 0.0)
     slow = of.model.roots(values, 100.0, slopes=False).values
     fast = of.model.roots(values, 3000.0, slopes=False).values
     assert slow.real.max() < 0 < fast.real.max()
@@ -339,3 +349,25 @@ def test_a_bearing_s_stated_uncertainty_counts_whatever_its_source(tmp_path: Pat
     bearing = load_system(tmp_path / "rotor.yaml").linear["1"]
     assert np.diag(bearing.stiffness_error) == pytest.approx([0.02, 0.02])
     assert np.diag(bearing.damping_error) == pytest.approx([0.3, 0.3])
+
+
+def test_a_rotor_without_damping_has_free_frequencies() -> None:
+    """Only a damping ratio that was measured asks for damping; f is that of K and M alone."""
+    of = system(False)
+    model = build(replace(of, internal=(0.0, 0.0)), SmallErrors(), {}).model
+    nothing = np.full(2, np.nan)
+    hammer = FreeModes("hammer", np.array([1, 2]), np.ones(2), np.full(2, 0.01), nothing, nothing)
+    free = model.matrices(model.means, 0.0, supported=False)
+    plane = np.flatnonzero(np.isin(np.arange(model.n_dof) % 4, (0, 3)))
+    stiffness, mass = (matrix[np.ix_(plane, plane)] for matrix in (free.stiffness, free.mass))
+    omega = np.sqrt(linalg.eigh(stiffness, mass, eigvals_only=True)[2:4])
+    residual, jacobian = hammer.residual(model, model.means)
+    assert residual == pytest.approx(-np.log(omega / (2 * np.pi)) / 0.01, rel=1e-6)
+    assert np.isfinite(jacobian()).all() and residual.size == 2
+
+
+def test_a_test_named_at_speed_may_be_at_rest() -> None:
+    of = build(system(), SmallErrors(), {"at speed": Sensors(("3 y",), 0.01)}).model
+    acting = of.acting("at speed")
+    assert not any(acting[n] for n, u in enumerate(of.unknowns) if u.group == "bearings")
+    assert not of.acting(RUNNING)[of.number("gain at speed 3 y")]

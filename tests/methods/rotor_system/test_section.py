@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -14,10 +15,14 @@ import yaml
 
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
-from labpipe.methods.rotor_system.evaluate import _modes
+from labpipe.methods.rotor_system.build import Sensors, SmallErrors, build
+from labpipe.methods.rotor_system.evaluate import _modes, _result
+from labpipe.methods.rotor_system.posterior import fit_system
 from labpipe.methods.rotor_system.settings import SystemTest
+from labpipe.methods.rotor_system.system_file import load_system
 from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig
 from labpipe.project.work import Work
+from tests.methods.rotor_system.two_discs import system
 
 ROOT = Path(__file__).parents[3]
 # Of a rotor as declared: its interval is many times wider than they can move it.
@@ -154,6 +159,18 @@ def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> Non
         ({"tests.4.mass": "33 kg"}, "rotor_system.tests", "'mass' needs its uncertainty"),
         ({"tests.1.speed": "-10 Hz"}, "rotor_system.tests.2.speed", "speed must not be negative"),
         ({"rotor_system": {"speeds": "0-100 Hz"}}, "rotor_system.speeds", "must begin above zero"),
+        ({"tests.1.places": {"d9": "3 y"}}, "rotor_system", "test 'shaken y': places: no dof or plane 'd9'"),
+        ({"tests.1.frequencies": ["60 Hz +- 1 Hz", "44 Hz +- 1 Hz"]}, "frequencies", "begin with the lowest"),
+        (
+            {"tests.1.frequencies": ["44 Hz +- 1 Hz"], "tests.1.fit": "modal"},
+            "rotor_system.tests.2.fit",
+            "natural frequencies are those of 'fit' or 'frequencies'",
+        ),
+        (
+            {"tests.4.deflections": {"5 z / 10 z": "0.3 um/N +- 1 %", "5z/10z": "0.4 um/N +- 1 %"}},
+            "rotor_system.tests.5.deflections",
+            "'5z/10z' stands there twice",
+        ),
         ({"rotor_system": {"balance_speeds": ["0 Hz"]}}, "rotor_system.balance_speeds", "above zero"),
         ({"rotor_system": {"small_errors": {"phase": "-1 deg"}}}, "phase", "must not be negative"),
     ],
@@ -186,6 +203,21 @@ def test_faults_are_said_at_their_place(tmp_path: Path, labpipe, change: dict, w
         ("pedestals: [{bearing: left, mass: 8 kg, stiffness: -1 MN/m}]", "stiffness must be positive"),
         ("damping: {internl: 30 us}", "damping.internl: unknown key"),
         ("damping: {internal: -30 us}", "internal must not be negative"),
+        ("damping: {internal: 0 us +- 30 us}", "damping.internal: 'internal' of zero has no uncertainty"),
+        ("{damping: {alpha: 1 1/s}, estimate: [internal]}", "the rotor has nothing that 'internal' frees"),
+        ("{pedestals: [], estimate: [masses, pedestals]}", "the rotor has nothing that 'pedestals' frees"),
+        ("estimate: clearance", "the rotor has nothing that 'clearance' frees"),
+        (
+            "sleeves: [{element: 4, outer_diameter: 50 mm, stiffening: 1.2 +- 30 %, name: A}, "
+            "{element: 5, outer_diameter: 50 mm, stiffening: 1.4 +- 30 %, name: A}]",
+            "a second stiffening of sleeves 'A'",
+        ),
+        (
+            "discs: [{node: 5, mass: 12 kg +- 3 % (source=scale), transverse_inertia: 0.06 kg.m^2, "
+            "polar_inertia: 0.11 kg.m^2}, {node: 10, mass: 9 kg +- 3 % (source=scale), "
+            "transverse_inertia: 0.04 kg.m^2, polar_inertia: 0.07 kg.m^2}]",
+            "discs: source=scale: only numbers of bearing models can have one error in common",
+        ),
     ],
 )
 def test_faults_of_a_rotor_file(tmp_path: Path, labpipe, text: str, said: str) -> None:
@@ -239,6 +271,58 @@ def test_modes_that_a_rotor_has_not(tmp_path: Path, labpipe, numbers: str, said:
     (tmp_path / "p.yaml").write_text(HAMMER.format(root=ROOT, numbers=numbers))
     ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
     assert ended.code == 2 and said in ended.err
+
+
+def test_two_unbalances_on_a_node_are_one(tmp_path: Path) -> None:
+    """Their sum, with the root of the sum of the squares of their uncertainties."""
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    whole["unbalances"] = [
+        {"node": 5, "size": "100 g.mm +- 30 g.mm"},
+        {"node": 5, "size": "100 g.mm +- 40 g.mm", "phase": "90 deg"},
+    ]
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
+    ((node, mean, error),) = load_system(tmp_path / "rotor.yaml").unbalances
+    assert (node, mean, error) == (5, pytest.approx(1e-4 + 1e-4j), pytest.approx(5e-5))
+
+
+def test_pedestals_that_are_known_are_nothing_unknown(tmp_path: Path, labpipe) -> None:
+    whole = (ROOT / "configs/rotors/two-discs.yaml").read_text()
+    for share in ("2", "3", "30", "40", "50", "70"):
+        whole = whole.replace(f" +- {share} %", "")
+    (tmp_path / "rotor.yaml").write_text(whole.replace(" +- 200 g.mm", ""))
+    text = HAMMER.format(root=ROOT, numbers="[1, 2]").replace(
+        f"{ROOT}/configs/rotors/two-discs.yaml", "rotor.yaml"
+    )
+    (tmp_path / "p.yaml").write_text(text)
+    ended = labpipe("run", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert ended.code == 2 and "nothing of the rotor is unknown" in ended.err
+
+
+def test_a_decrement_that_is_known_is_above_its_limit_or_is_not() -> None:
+    """Without any uncertainty of it, the probability is none or all."""
+    of = system(False)
+    linear = {
+        name: replace(b, stiffness_error=0 * b.stiffness, damping_error=0 * b.damping)
+        for name, b in of.linear.items()
+    }
+    of = replace(of, young={}, masses=(), sleeves={}, internal=(0.0, 0.0), linear=linear, unbalances=())
+    for alpha, probability in ((400.0, 1.0), (0.1, 0.0)):
+        damped = replace(of, rig=replace(of.rig, rotor=replace(of.rig.rotor, alpha=alpha)))
+        built = build(damped, SmallErrors(0, 0, 0, 0, 0, 0), {"t": Sensors(("a",), 0.01)})
+        posterior = fit_system(built.model, [], estimate_sizes=False)
+        found = _result(damped, built, posterior, np.array([40.0, 41.0]), {}, 20, 1)
+        assert found.decrement[1:] == (0.0, probability) and (found.decrement[0] > 0.1) == bool(probability)
+
+
+def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:
+    of = system(False)
+    built = build(of, SmallErrors(), {})
+    posterior = fit_system(built.model, [], estimate_sizes=False)
+    for speed in (0.0, 100.0):
+        rig = replace(of.rig, speed=speed)
+        found = _result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), {}, 2, 1)
+        assert all((critical.margin is None) == (not speed) for critical in found.criticals)
+    assert found.criticals
 
 
 def test_a_fit_of_several_bands_is_no_test_of_modes() -> None:
@@ -329,3 +413,21 @@ def test_a_virtual_rotor_that_cannot_be_tested_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=said):
         RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band)
+
+
+def test_a_period_of_a_virtual_rotor_is_whole() -> None:
+    """Of 2000 Hz / 3 Hz samples, the lines would lie elsewhere."""
+    with pytest.raises(ConfigError, match=r"a period of 666.667 samples"):
+        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), (3.0,), (5.0, 50.0), spacing=3.0)
+
+
+def test_a_report_that_cannot_be_drawn_leaves_nothing(tmp_path: Path, labpipe) -> None:
+    ended = labpipe(
+        "rotor",
+        ROOT / "configs/rotors/two-discs.yaml",
+        "--json",
+        tmp_path / "r.json",
+        "-o",
+        tmp_path / "r.docx",
+    )
+    assert ended.code == 2 and not list(tmp_path.iterdir())
