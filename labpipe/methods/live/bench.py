@@ -87,6 +87,17 @@ class FollowedFit:
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
 
+    def check(self, averages: Sequence[running_fit.Average]) -> None:
+        """FitError for the first *averages* of a direction that show no motion, or no noise at all."""
+        z = np.array([self.picked(average) for average in averages])
+        for number, port in enumerate(self.setup.outputs):
+            if not z[..., number].any():
+                what = f"{port.label} is zero at every line of the band; is the sensor connected?"
+                raise FitError(f"identify.{self.settings.name}: {what}")
+        if np.array_equal(z[0], z[1]):
+            what = f"identify.{self.settings.name}: averages are equal to the last digit"
+            raise FitError(what, hint="without noise no interval is known: a test cannot end by its width")
+
     def add(self, z: ComplexArray, direction: int) -> None:
         """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction."""
         sums = self.sums.of(direction)
@@ -373,6 +384,8 @@ class Bench(charts.Watch):
             raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
         self.lines = np.flatnonzero(chosen)
         self.fits = [FollowedFit(fit, self.layout, frequency[chosen], self.hits) for fit in self.settings]
+        for fit in self.fits:
+            fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
     def _follow(self, average: running_fit.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
