@@ -266,6 +266,9 @@ def _all_codes(identification: Identification) -> set[str]:
 _WHERE = re.compile(r"^\s*(?P<name>[\w.-]+)\s*(?P<sign>>=|<=|!=|=|>|<)\s*(?P<bound>.+?)\s*$")
 # Relative tolerance in SI of two amounts written alike.
 SAME = 1e-9
+# Criteria that are patterns of names, and the SQL of one of several texts, which are given as JSON.
+NAMED = ("fit", "test", "parameter")
+_AMONG = "IN (SELECT value FROM json_each(?))"
 
 
 @dataclass(frozen=True)
@@ -357,9 +360,9 @@ NUMBERS = ("value", "low_hz", "high_hz")
 
 def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
-    clauses, values = _result_clauses(criteria)
+    clauses, values = _result_clauses(index, criteria)
     for condition in criteria.where:
-        clause, bounds = _condition_clause(index, condition, "")
+        clause, bounds = _condition_clause(index, condition)
         clauses.append(clause)
         values.extend(bounds)
     columns = [field.name for field in dataclasses.fields(ResultRow)]
@@ -376,16 +379,12 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
 
     ConfigError for a name that no result has.
     """
-    clauses, bound = _result_clauses(criteria, "v.date")
-    for column in ("fit", "test", "parameter"):
-        pattern = getattr(criteria, column)
-        if pattern:
-            if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
-                names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
-                hint = nearest(pattern, [name for (name,) in names])
-                raise ConfigError(f"no result has the {column} '{pattern}'", hint=hint)
-            clauses.append(f"v.{column} GLOB ?")
-            bound.append(pattern)
+    clauses, bound = _result_clauses(index, criteria, "v.date")
+    for column in NAMED:
+        if pattern := getattr(criteria, column):
+            names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
+            clauses.append(f"v.{column} {_AMONG}")
+            bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
     for condition in criteria.where:
         clause, bounds = _condition_clause(index, condition, " AND c.test = v.test")
         clauses.append(clause)
@@ -419,16 +418,38 @@ def _conditions(
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
 
-def _result_clauses(criteria: Filter, date: str = "r.date") -> tuple[list[str], list[Any]]:
+def _result_clauses(
+    index: sqlite3.Connection, criteria: Filter, date: str = "r.date"
+) -> tuple[list[str], list[Any]]:
     clauses, bound = [], []
     if criteria.rig:
-        clauses.append("r.rig LIKE ?")
-        bound.append(f"%{criteria.rig}%".replace("*", "%"))
+        rigs = index.execute("SELECT DISTINCT rig FROM result WHERE rig IS NOT NULL")
+        clauses.append(f"r.rig {_AMONG}")
+        bound.append(json.dumps([rig for (rig,) in rigs if is_of_rig(criteria.rig, rig)]))
     for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
         if day:
-            clauses.append(f"substr({date}, 1, 10) {sign} ?")
+            # Not a number, which nothing is before or after, for what is no day.
+            clauses.append(f"date(substr({date}, 1, 10)) {sign} ?")
             bound.append(checked_day(day))
     return clauses, bound
+
+
+def fits(pattern: str, name: str, flags: int = 0) -> bool:
+    """Whether a name is one of a pattern in which '*' stands for any characters."""
+    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, flags | re.DOTALL))
+
+
+def is_of_rig(part: str, rig: str) -> bool:
+    """Whether the name of a rig contains *part*, capital or small."""
+    return fits(f"*{part}*", rig, re.IGNORECASE)
+
+
+def names_meant(column: str, pattern: str, names: Sequence[str]) -> list[str]:
+    """Those of a column's *names* that a pattern means; ConfigError for none."""
+    kept = [name for name in names if fits(pattern, name)]
+    if not kept:
+        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
+    return kept
 
 
 def checked_day(text: str) -> str:
@@ -458,29 +479,43 @@ def with_datasets(index: sqlite3.Connection) -> list[str]:
     return [path for (path,) in index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")]
 
 
-def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
+def _condition_clause(index: sqlite3.Connection, text: str, same_test: str = "") -> tuple[str, list[Any]]:
     """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
-    name, sign, limit = split_condition(text)
-    units = {unit for (unit,) in index.execute("SELECT DISTINCT unit FROM condition WHERE name = ?", (name,))}
-    if not units:
+    name, _, _ = split_condition(text)
+    rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
+    amounts = {written: (amount, unit) for written, amount, unit in rows}
+    if not amounts:
         names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
         raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
-    begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ? AND "
+    begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ?"
+    return f"{begin} AND c.text {_AMONG})", [name, json.dumps(meeting(text, amounts))]
+
+
+def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> list[str]:
+    """Those of the texts that tests have for a condition, with their *amounts*, that meet it.
+
+    ConfigError for a condition that cannot be read, or in another unit than theirs.
+    """
+    name, sign, bound = split_condition(condition)
     try:
-        amount, unit = si_amount(limit)
+        limit, unit = si_amount(bound)
     except UnitError as error:
         if sign not in ("=", "!="):
-            raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
-        return f"{begin}c.text {sign} ?)", [name, limit]
-    if unit not in units:
-        raise ConfigError(
-            f"'{text}': the condition '{name}' is in "
-            f"{', '.join(sorted(units - {''})) or 'words'}, not in {unit}"
-        )
-    near = SAME * max(abs(amount), SAME)
-    test = {"=": "BETWEEN ? AND ?", "!=": "NOT BETWEEN ? AND ?"}.get(sign)
-    if test is not None:
-        return f"{begin}c.unit = ? AND c.amount {test})", [name, unit, amount - near, amount + near]
-    # Amounts equal within the tolerance fall on the side of the sign that includes equality.
-    edge = amount + near if sign in ("<=", ">") else amount - near
-    return f"{begin}c.unit = ? AND c.amount {sign} ?)", [name, unit, edge]
+            raise ConfigError(f"'{condition}': {error.what}", hint=error.hint) from None
+        return [text for text in amounts if (text == bound) == (sign == "=")]
+    units = {unit_of_text for _, unit_of_text in amounts.values()}
+    if units and unit not in units:
+        others = ", ".join(sorted(units - {""})) or "words"
+        raise ConfigError(f"'{condition}': the condition '{name}' is in {others}, not in {unit}")
+    return [
+        text
+        for text, (amount, unit_of_text) in amounts.items()
+        if (sign == "!=" if amount is None or unit_of_text != unit else _is_so(amount, sign, limit))
+    ]
+
+
+def _is_so(amount: float, sign: str, limit: float) -> bool:
+    """Whether a comparison holds; amounts within the tolerance are equal."""
+    if abs(amount - limit) <= SAME * max(abs(limit), SAME):
+        return sign in ("=", ">=", "<=")
+    return sign == "!=" or (amount > limit if sign.startswith(">") else sign[0] == "<" and amount < limit)

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import datetime
 import json
-import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,19 +30,21 @@ from labpipe.artefacts.identification_file import NAME
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.catalogue import (
     DATE,
-    SAME,
+    NAMED,
     VALUE_COLUMNS,
     Filter,
     ResultRow,
     ValueRow,
     checked_day,
+    is_of_rig,
+    meeting,
+    names_meant,
     open_index,
     results,
     split_condition,
     values,
     with_datasets,
 )
-from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import nearest
@@ -54,8 +55,6 @@ from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_lim
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
 _GIVEN = ("path", "date")
-_NAMED = ("fit", "test", "parameter")
-_COMPARE = {">=": pc.greater_equal, "<=": pc.less_equal, ">": pc.greater, "<": pc.less}
 
 
 def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
@@ -65,15 +64,16 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
     ConfigError for a name or a condition that no test has.
     """
     table = _choose(folder, criteria)
-    for column in _NAMED:
-        pattern = getattr(criteria, column)
-        if pattern:
-            table = _by_name(table, column, pattern)
+    for column in NAMED:
+        if pattern := getattr(criteria, column):
+            names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
+            kept = names_meant(column, pattern, names)
+            table = table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
     table = _at_conditions(table, criteria.where)
-    conditions = list(dataset_file.columns_of_conditions(table.column_names))
-    units = {condition: _unit(table, condition) for condition in conditions}
+    names = list(dataset_file.columns_of_conditions(table.column_names))
+    amounts = {condition: _amounts(table, condition) for condition in names}
     rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
-    return [_value_row(row, f"{name}/{NAME}" if name != "." else NAME, conditions, units) for row in rows]
+    return [_value_row(row, f"{name}/{NAME}" if name != "." else NAME, amounts) for row in rows]
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
@@ -105,7 +105,7 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
         if _may_hold(part, criteria)
     ]
     if not tables:
-        return pa.table({name: pa.array([], pa.string()) for name in (*_NAMED, "date")})
+        return pa.table({name: pa.array([], pa.string()) for name in (*NAMED, "date")})
     table = pa.concat_tables(tables, promote_options="default")
     return table.filter(pc.is_valid(table["parameter"]))
 
@@ -113,20 +113,7 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
 def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
     since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
     in_time = (not since or part.date >= since) and (not until or part.date <= until)
-    return in_time and (not criteria.rig or _fits(f"*{criteria.rig}*", part.rig, re.IGNORECASE))
-
-
-def _fits(pattern: str, name: str, flags: int = 0) -> bool:
-    """Whether a name is one of a pattern in which '*' stands for any characters."""
-    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, flags | re.DOTALL))
-
-
-def _by_name(table: pa.Table, column: str, pattern: str) -> pa.Table:
-    names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
-    kept = [name for name in names if _fits(pattern, name)]
-    if not kept:
-        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
-    return table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
+    return in_time and (not criteria.rig or is_of_rig(criteria.rig, part.rig))
 
 
 def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
@@ -140,51 +127,34 @@ def _holds(table: pa.Table, text: str) -> Any:
 
     ConfigError for one that cannot be read or that no test has.
     """
-    name, sign, bound = split_condition(text)
+    name, _, _ = split_condition(text)
     if dataset_file.CONDITION + name not in table.column_names:
         raise ConfigError(
             f"no test has the condition '{name}'",
             hint=nearest(name, list(dataset_file.columns_of_conditions(table.column_names))),
         )
-    try:
-        amount, unit = si_amount(bound)
-    except UnitError as error:
-        if sign not in ("=", "!="):
-            raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
-        return (pc.equal if sign == "=" else pc.not_equal)(table[dataset_file.CONDITION + name], bound)
-    present = _unit(table, name)
-    if unit != present:
-        raise ConfigError(f"'{text}': the condition '{name}' is in {present or 'words'}, not in {unit}")
-    near = SAME * max(abs(amount), SAME)
-    values = table[dataset_file.AMOUNT + name]
-    if sign in ("=", "!="):
-        same = pc.less_equal(pc.abs(pc.subtract(values, amount)), near)
-        return same if sign == "=" else pc.invert(same)
-    return _COMPARE[sign](values, amount + near if sign in ("<=", ">") else amount - near)
+    met = pa.array(meeting(text, _amounts(table, name)), pa.string())
+    return pc.is_in(table[dataset_file.CONDITION + name], met)
 
 
-def _unit(table: pa.Table, condition: str) -> str:
-    """The unit of a condition's amounts; empty for words, and where tests have it in different dimensions."""
-    texts = (
-        text for text in pc.unique(table[dataset_file.CONDITION + condition]).to_pylist() if text is not None
-    )
-    units = {dataset_file.amount_of(text)[1] for text in texts}
-    return units.pop() if len(units) == 1 else ""
+def _amounts(table: pa.Table, condition: str) -> dict[str, tuple[float | None, str]]:
+    """The texts that tests have for a condition, with their amounts and units."""
+    texts = pc.unique(table[dataset_file.CONDITION + condition]).to_pylist()
+    return {text: dataset_file.amount_of(text) for text in texts if text is not None}
 
 
-def _value_row(row: dict[str, Any], path: str, conditions: Sequence[str], units: dict[str, str]) -> ValueRow:
+def _value_row(
+    row: dict[str, Any], path: str, amounts: Mapping[str, Mapping[str, tuple[float | None, str]]]
+) -> ValueRow:
     entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
-    texts = {name: text for name in conditions if (text := row[dataset_file.CONDITION + name]) is not None}
+    texts = {name: text for name in amounts if (text := row[dataset_file.CONDITION + name]) is not None}
+    of_row = {name: amounts[name][text] for name, text in texts.items()}
     return ValueRow(
         **entries,
         path=path,
         changes=json.dumps(dict(row["changes"])),
         conditions=texts,
-        amounts={
-            name: (amount, units[name])
-            for name in texts
-            if (amount := row.get(dataset_file.AMOUNT + name)) is not None
-        },
+        amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
     )
 
 

@@ -24,6 +24,8 @@ from labpipe.records.finding import Finding
 
 # Largest number of rows read.
 MOST_ROWS = 1 << 21
+# Words that YAML takes for something else than a text.
+NO_TEXTS = ("null", "true", "false")
 # Relative deviation of the steps of a time axis.
 EVEN = 1e-3
 # A copy is looked for where a column exceeds this share of its peak, at so many samples at least.
@@ -288,7 +290,7 @@ def _direction(name: str) -> str:
 def _key(name: str, used_keys: Sequence[str]) -> str:
     """A short name for a channel: the column's without its unit, in letters, digits and underscores."""
     plain = re.sub(r"\W+", "_", _BRACKETS.sub(" ", name)).strip("_").lower() or "channel"
-    key = first = plain if plain[0].isalpha() else f"ch_{plain}"
+    key = first = plain if plain[0].isalpha() and plain not in NO_TEXTS else f"ch_{plain}"
     number = 1
     while key in used_keys:
         number += 1

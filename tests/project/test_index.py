@@ -222,6 +222,33 @@ def test_conditions_are_compared_as_amounts_or_as_words(tmp_path: Path, where: s
     assert stiffnesses(tmp_path, where=(where,)) == ([1.0] if found else [])
 
 
+@pytest.mark.parametrize(
+    ("asked", "found"),
+    [
+        ({"test": "run [1]"}, [1.0]),
+        ({"test": "run ?"}, [3.0]),
+        ({"test": "run *"}, [1.0, 2.0, 3.0]),
+        ({"rig": "rig_a"}, [1.0]),
+        ({"rig": "PRÜF"}, [3.0]),
+        ({"where": ("batch != 12",)}, [2.0, 3.0]),
+        ({"where": ("load >= 1 mm",)}, [3.0]),
+        ({"since": "2026-01-01"}, [1.0, 3.0]),
+    ],
+)
+def test_names_are_taken_as_they_stand(tmp_path: Path, asked: dict[str, object], found: list[float]) -> None:
+    """A pattern's one sign is '*'; what is not equal to an amount may be a word; a date is one."""
+    tests = (
+        ("run [1]", "rig_a", {"batch": "12", "load": "1 N", "date": "2026-11-03"}),
+        ("run 1", "rig-a", {"batch": "A12", "load": "2 N", "date": "3 Nov 2026"}),
+        ("run ?", "Prüfstand", {"batch": "13", "load": "3 mm", "date": "2026-11-04"}),
+    )
+    for number, (test, rig, conditions) in enumerate(tests, 1):
+        fit = replace(FIT, test=test, parameters=(replace(K, value=float(number)),))
+        settings = {"tests": [{"name": test, "conditions": conditions}]}
+        store(tmp_path / str(number), fits=(fit,), rig={"name": rig}, settings=settings)
+    assert sorted(stiffnesses(tmp_path, **asked)) == found
+
+
 def test_rows_carry_what_is_known_of_their_test(tmp_path: Path) -> None:
     store(tmp_path / "a")
     with open_index(tmp_path) as index:

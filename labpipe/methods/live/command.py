@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,14 @@ PICTURE = 0.25
 FRAMES = "frames"
 
 
+def _above_zero(text: str) -> float:
+    """A number above zero; BadParameter for another one."""
+    with suppress(ValueError):
+        if 0 < (number := float(text)) < math.inf:
+            return number
+    raise click.BadParameter("a number above zero is needed")
+
+
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @click.argument("source", metavar="[SOURCE]", required=False)
@@ -43,12 +52,24 @@ FRAMES = "frames"
 @click.option("--bell", is_flag=True, help="Ring when it is enough.")
 @options.path("-o", "--output", metavar="DIR", help="Afterwards run the pipeline over the recording.")
 @click.option(
-    "--idle", type=float, default=90.0, show_default=True, help="Seconds without samples that end the test."
+    "--idle",
+    type=_above_zero,
+    metavar="SECONDS",
+    default="90",
+    show_default=True,
+    help="Seconds without samples that end the test.",
 )
 @options.path("--simulate", metavar="RIG", help="A virtual rig in place of SOURCE.")
 @click.option("--run", "run_name", default="", help="Run of the virtual rig; default: the first.")
-@click.option("--speed", type=float, default=1.0, show_default=True, help="How much faster than real time.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Noise of the virtual rig.")
+@click.option(
+    "--speed",
+    type=_above_zero,
+    metavar="NUMBER",
+    default="1",
+    show_default=True,
+    help="How much faster than real time.",
+)
+@click.option("--seed", type=options.COUNT, default=1, show_default=True, help="Noise of the virtual rig.")
 @options.overrides
 @options.quiet
 def live(

@@ -324,11 +324,11 @@ class Session:
             begin = end
 
     def _end(self) -> Iterator[Update]:
-        if self.bench is None:
-            raise DataError("the source ended before it held enough samples", hint="is it the right one?")
         if isinstance(self.bench, WholeFits):
             for update in self.bench.look():
                 yield replace(update, findings=(*update.findings, *self.findings))
+        if self.bench is None or not self.bench.updates:
+            raise DataError("the source ended before it held enough samples", hint="is it the right one?")
 
     @property
     def recorded(self) -> list[Path]:

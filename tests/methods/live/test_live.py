@@ -938,12 +938,19 @@ def test_frames_that_were_read_outlast_a_kill(bench):
 @pytest.mark.parametrize(
     ("rows", "options", "what"),
     [
-        (samples(5) * [1, 0], (), "identify.s: y is zero at every line of the band; is the sensor connected?"),
+        (
+            samples(5) * [1, 0],
+            (),
+            "identify.s: y is zero at every line of the band; is the sensor connected?",
+        ),
+        (samples(3), ("--set", "frf.skip=9"), "the source ended before it held enough samples"),
+        (samples(2), ("--idle", "nan"), "'--idle': a number above zero is needed"),
+        (samples(2), ("--speed", "inf"), "'--speed': a number above zero is needed"),
         (samples(5, noise=0.0), (), "identify.s: averages are equal to the last digit"),
         (samples(5), ("--until", "k.expanded<=-1%"), "--until: 'k.expanded<=-1%': no interval is so narrow"),
         (samples(5), ("--until", "k.expanded<=0 N/m"), "no interval is so narrow; a width above zero"),
     ],
-    ids=["no motion", "no noise", "negative goal", "zero goal"],
+    ids=["no motion", "no average", "no time", "no speed", "no noise", "negative goal", "zero goal"],
 )
 def test_what_no_average_can_tell_ends_with_a_message(bench, labpipe, rows, options, what):
     write_csv(bench / "test.csv", rows)
