@@ -28,7 +28,7 @@ from labpipe.artefacts.json_file import BAD_ENTRY, read_bytes
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.finding import WARNING, Parameter
+from labpipe.records.finding import WARNING
 from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
 from labpipe.records.sections import section
 from labpipe.registry import nearest
@@ -128,8 +128,9 @@ def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
     before = connection.total_changes
     stamps = dict(connection.execute("SELECT path, stamp FROM result"))
     here = {path.relative_to(folder).as_posix(): path for path in without_staging(folder.rglob(NAME))}
-    for name in stamps.keys() - here.keys():
-        _remove(connection, name)
+    remove = "DELETE FROM result WHERE path = ?"
+    connection.execute("PRAGMA foreign_keys = ON")
+    connection.executemany(remove, [(name,) for name in stamps.keys() - here.keys()])
     for name, path in here.items():
         try:
             status = path.stat()
@@ -138,16 +139,10 @@ def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
             continue
         stamp = f"{status.st_mtime_ns}:{status.st_size}:{status.st_ino}"
         if stamps.get(name) != stamp:
-            _remove(connection, name)
+            connection.execute(remove, (name,))
             _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
     connection.commit()
     return connection.total_changes != before
-
-
-def _remove(connection: sqlite3.Connection, name: str) -> None:
-    for (number,) in connection.execute("SELECT id FROM result WHERE path = ?", (name,)).fetchall():
-        for table, column in (("value", "result"), ("condition", "result"), ("result", "id")):
-            connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (number,))
 
 
 def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
@@ -157,12 +152,10 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
         other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
         rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
-    number = 0
-    for table, row in rows:
-        if table == "result":
-            number = _insert(connection, table, {"path": name, "stamp": stamp, **row})
-        else:
-            _insert(connection, table, {"result": number, **row})
+    (_, whole), *parts = rows
+    number = _insert(connection, "result", {"path": name, "stamp": stamp, **whole})
+    for table, row in parts:
+        _insert(connection, table, {"result": number, **row})
 
 
 def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
@@ -217,7 +210,7 @@ def _check(row: dict[str, Any]) -> dict[str, Any]:
 
 def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
-    low, high = interval(parameter)
+    low, high = parameter.ci95 or (None, None)
     row = {name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")}
     row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "parameter": parameter.name}
     row |= {"value": parameter.value, "unit": parameter.unit, "std_error": parameter.full_error}
@@ -226,19 +219,10 @@ def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     return {**row, "warnings": ", ".join(listed.warnings), "date": date}
 
 
-def interval(parameter: Parameter) -> tuple[float | None, float | None]:
-    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not
-    noise.
-    """
-    return parameter.ci95 or (None, None)
-
-
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
     """Add a row and return its number. Table and column names are constants of this module."""
-    marks = ", ".join("?" for _ in row)
-    cursor = connection.execute(
-        f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values())
-    )
+    marks = ", ".join(f":{name}" for name in row)
+    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", row)
     return int(cursor.lastrowid or 0)
 
 
@@ -368,8 +352,9 @@ def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     columns = [field.name for field in dataclasses.fields(ResultRow)]
     sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
     rows = index.execute(f"{sql}{_where(clauses)} ORDER BY r.date, r.path", values)
+    named = (zip(columns, row, strict=True) for row in rows)
     entries: list[dict[str, Any]] = [
-        dict(zip(columns, ("" if entry is None else entry for entry in row), strict=True)) for row in rows
+        {name: "" if entry is None else entry for name, entry in pairs} for pairs in named
     ]
     return [ResultRow(**entry) for entry in entries]
 
@@ -472,11 +457,6 @@ def split_condition(text: str) -> tuple[str, str, str]:
             f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'"
         )
     return match["name"], match["sign"], match["bound"]
-
-
-def with_datasets(index: sqlite3.Connection) -> list[str]:
-    """The paths of the results whose tests stand in a dataset beside them."""
-    return [path for (path,) in index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")]
 
 
 def _condition_clause(index: sqlite3.Connection, text: str, same_test: str = "") -> tuple[str, list[Any]]:

@@ -1,21 +1,18 @@
 """What results below a folder hold: search, comparison of two results, trends over conditions or time.
 
-What the results below a folder hold: those of single results by their index, those of many tests by their
-datasets.
-
-Both are kept. The index spares reading the JSON of a lab's results, of which each is small and may be
-replaced; a dataset is columns already, its parts never change, and it is asked where it lies, however large
-it grows.
+Single results are found by their index, those of many tests by their datasets. The index spares reading the
+JSON of a lab's results, of which each is small and may be replaced; a dataset is columns already, its parts
+never change, and it is asked where it lies, however large it grows.
 """
 
 from __future__ import annotations
 
 import datetime
+import functools
 import json
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -43,7 +40,6 @@ from labpipe.project.catalogue import (
     results,
     split_condition,
     values,
-    with_datasets,
 )
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
@@ -73,7 +69,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
     names = list(dataset_file.columns_of_conditions(table.column_names))
     amounts = {condition: _amounts(table, condition) for condition in names}
     rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
-    return [_value_row(row, f"{name}/{NAME}" if name != "." else NAME, amounts) for row in rows]
+    return [_value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in rows]
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
@@ -117,9 +113,7 @@ def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
 
 
 def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
-    for text in conditions:
-        table = table.filter(_holds(table, text))
-    return table
+    return functools.reduce(lambda chosen, text: chosen.filter(_holds(chosen, text)), conditions, table)
 
 
 def _holds(table: pa.Table, text: str) -> Any:
@@ -158,11 +152,10 @@ def _value_row(
     )
 
 
-def folders(names: Sequence[str], folder: Path) -> Iterator[tuple[str, Path]]:
-    """The folders of results with a dataset, by the paths of their results below *folder*."""
-    for name in names:
-        home = Path(name).parent
-        yield home.as_posix(), folder / home
+def _homes(index: sqlite3.Connection, folder: Path) -> dict[str, Path]:
+    """The folders of results with a dataset, by their names as lists show them."""
+    rows = index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")
+    return {Path(path).parent.as_posix(): (folder / path).parent for (path,) in rows}
 
 
 Row = TypeVar("Row", ResultRow, ValueRow)
@@ -174,10 +167,9 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
     ConfigError for a name or a condition that none of them has; DataError for a folder without results.
     """
     with open_index(folder) as index:
-        asked: list[Callable[[], list[ValueRow]]] = []
-        asked += [lambda: values(index, criteria)] if _has_values(index) else []
-        homes = folders(with_datasets(index), folder)
-        return _all_of([*asked, *(partial(dataset_values, home, name, criteria) for name, home in homes)])
+        homes = _homes(index, folder).items()
+        of_datasets = [functools.partial(dataset_values, home, name, criteria) for name, home in homes]
+        return _all_of(index, functools.partial(values, index, criteria), of_datasets)
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
@@ -191,25 +183,26 @@ def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
     Errors as of `found_values`.
     """
     with open_index(folder) as index:
-        homes = dict(folders(with_datasets(index), folder))
+        homes = _homes(index, folder)
         if not homes or not criteria.where:
             return results(index, criteria)
-        asked: list[Callable[[], list[ResultRow]]] = []
-        asked += [lambda: results(index, criteria)] if _has_values(index) else []
         everything = results(index, Filter(rig=criteria.rig, since=criteria.since, until=criteria.until))
-        for row in everything:
-            home = Path(row.path).parent.as_posix()
-            if home in homes:
-                asked.append(partial(_keep, row, homes[home], criteria))
-        return _all_of(asked)
+        pairs = ((row, homes.get(Path(row.path).parent.as_posix())) for row in everything)
+        of_datasets = [
+            functools.partial(_keep, row, home, criteria) for row, home in pairs if home is not None
+        ]
+        return _all_of(index, functools.partial(results, index, criteria), of_datasets)
 
 
-def _has_values(index: sqlite3.Connection) -> bool:
-    return bool(index.execute("SELECT 1 FROM value LIMIT 1").fetchone())
-
-
-def _all_of(asked: list[Callable[[], list[Row]]]) -> list[Row]:
+def _all_of(
+    index: sqlite3.Connection,
+    of_index: Callable[[], list[Row]],
+    of_datasets: Sequence[Callable[[], list[Row]]],
+) -> list[Row]:
     """The rows of all that have what is asked for; the first ConfigError where none has."""
+    asked: list[Callable[[], list[Row]]] = list(of_datasets)
+    if index.execute("SELECT 1 FROM value LIMIT 1").fetchone():
+        asked.insert(0, of_index)
     rows: list[Row] = []
     faults: list[ConfigError] = []
     for ask in asked:

@@ -182,7 +182,7 @@ class FollowedFit:
             common = self.common.get(parameter.name)
             if common is not None and parameter.ci95 is not None:
                 low, high = parameter.ci95
-                value, half = parameter.value + common.shift, math.hypot((high - low) / 2, common.half)
+                value, half = common.whole(parameter.value, (high - low) / 2)
                 ends, reason = (value - half, value + half), common.reason or parameter.reason
                 parameter = replace(parameter, value=value, ci95=ends, reason=reason)
             parameters.append(parameter)
@@ -244,19 +244,14 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     """Why a fit cannot be followed average by average, '' where it can: that takes a model linear in its
     parameters, maximum likelihood, and plain periods or hits of these *channels* at *rate* [Hz].
     """
+    excitation, model = frf.excitation, settings.model
     of_all = any((settings.eliminate, settings.bootstrap, settings.monte_carlo, settings.compare))
     several = settings.sliding is not None or settings.peaks or len(settings.bands) > 1
     reasons = (
-        (
-            frf.excitation not in running_fit.CUTTERS,
-            f"{frf.excitation} data are known by all samples together",
-        ),
+        (excitation not in running_fit.CUTTERS, f"{excitation} data are known by all samples together"),
         (not frf.single_averages, "its FRF follows from all averages together"),
-        (
-            settings.kind.of == SPECTRA,
-            f"{settings.model} balances all channels by mass and support, not an FRF",
-        ),
-        (settings.kind.equations is None, f"the model {settings.model} is not linear in its parameters"),
+        (settings.kind.of == SPECTRA, f"{model} balances all channels by mass and support, not an FRF"),
+        (settings.kind.equations is None, f"the model {model} is not linear in its parameters"),
         (not settings.estimates.likelihood, "`estimator: ml` alone is followed"),
         (of_all, "what `eliminate`, `bootstrap`, `monte_carlo` and `compare` do takes all averages"),
         (several, "it has several bands"),
@@ -325,7 +320,6 @@ class Bench(charts.Watch):
         return self.frf.excitation == "impact"
 
     def restart(self) -> None:
-        """The samples that follow belong to another recording."""
         self.cutter.restart()
 
     def add(self, block: FloatArray) -> list[charts.Update]:
@@ -509,9 +503,11 @@ class Bench(charts.Watch):
                 message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
                 findings.append(Finding("collinear", message))
             if estimate.misfit and estimate.n >= 3:
-                size = f"chi-square per degree of freedom is {estimate.reduced:.3g}"
-                message = "the model does not explain the averages within their noise; intervals count that"
-                findings.append(Finding("model-mismatch", f"{name}: {size}: {message}"))
+                message = (
+                    f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does not "
+                )
+                message += "explain the averages within their noise; intervals count that"
+                findings.append(Finding("model-mismatch", message))
             for label, standing in standings.items():
                 owner, _, parameter = label.partition(".")
                 if owner != name or standing.goal is None or standing.reached:
@@ -560,6 +556,6 @@ class Bench(charts.Watch):
                 common = fit.common.get(name)
                 half = fit.by_chi_square * error * charts.sequence_factor(estimate.n, estimate.n, float(dof))
                 if common is not None:
-                    value, half = value + common.shift, math.hypot(half, common.half)
+                    value, half = common.whole(value, half)
                 intervals[f"{fit.settings.name}.{name}"] = (float(value - half), float(value + half))
         return intervals

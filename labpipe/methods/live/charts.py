@@ -348,6 +348,10 @@ class Common:
     shift: float
     reason: str
 
+    def whole(self, value: float, half: float) -> tuple[float, float]:
+        """The value and half-width with these, by those of noise [parameter unit]."""
+        return value + self.shift, math.hypot(half, self.half)
+
 
 def lasting(parameter: Parameter) -> float:
     """The half-width [parameter unit] by model error and stated numbers, which averages do not take away."""

@@ -213,10 +213,9 @@ def _picture(session: Session, update: Update) -> Any:
 def _echo_last(session: Session) -> None:
     from labpipe.methods.live.view import HEADER, rows_of
 
-    updates = session.bench.updates if session.bench else []
-    if updates:
-        echo_table(HEADER, rows_of(session, updates[-1]))
-        for finding in updates[-1].findings:
+    for last in session.seen[-1:]:
+        echo_table(HEADER, rows_of(session, last))
+        for finding in last.findings:
             echo(f"{finding.code}: {finding.message}")
 
 

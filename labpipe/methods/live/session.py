@@ -78,7 +78,6 @@ class WholeFits(Watch):
         self._next, self._looked_at, self._firsts = 0.0, 0, [0]
 
     def restart(self) -> None:
-        """The samples that follow belong to another recording."""
         if self.n_sample > self._firsts[-1]:
             self._firsts.append(self.n_sample)
 
@@ -329,6 +328,16 @@ class Session:
                 yield replace(update, findings=(*update.findings, *self.findings))
         if self.bench is None or not self.bench.updates:
             raise DataError("the source ended before it held enough samples", hint="is it the right one?")
+
+    @property
+    def what(self) -> str:
+        """What an average is, once the test has begun."""
+        return self.bench.what if self.bench else ""
+
+    @property
+    def seen(self) -> list[Update]:
+        """All updates so far."""
+        return self.bench.updates if self.bench else []
 
     @property
     def recorded(self) -> list[Path]:
