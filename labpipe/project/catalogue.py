@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import functools
 import json
 import math
 import re
@@ -211,12 +212,13 @@ def _check(row: dict[str, Any]) -> dict[str, Any]:
 def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
     low, high = parameter.ci95 or (None, None)
-    row = {name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")}
-    row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "parameter": parameter.name}
-    row |= {"value": parameter.value, "unit": parameter.unit, "std_error": parameter.full_error}
-    row |= {"random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))}
-    row |= {"ci_low": low, "ci_high": high, "significant": parameter.significant}
-    return {**row, "warnings": ", ".join(listed.warnings), "date": date}
+    row = {
+        name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator", "random_error")
+    }
+    row |= {name: getattr(parameter, name) for name in ("value", "unit", "significant")}
+    row |= {"parameter": parameter.name, "std_error": parameter.full_error, "ci_low": low, "ci_high": high}
+    row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "date": date}
+    return {**row, "warnings": ", ".join(listed.warnings), "changes": json.dumps(dict(listed.changes))}
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
@@ -236,7 +238,6 @@ def verdict(identification: Identification) -> str:
 
 
 def _all_codes(identification: Identification) -> set[str]:
-    """The warnings of all fits, and of every other section."""
     of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
     sections = identification.sections.items()
     pairs = (pair for name, record in sections for pair in section(name).findings(record))
@@ -377,7 +378,7 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
     sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
     rows = index.execute(f"{sql}{_where(clauses)} ORDER BY v.date, r.path, v.id", bound).fetchall()
-    cache: dict[tuple[int, str], tuple[dict[str, str], dict[str, tuple[float, str]]]] = {}
+    of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
     for *row, number in rows:
         # SQLite has no not-a-number.
@@ -385,10 +386,7 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
         entries: dict[str, Any] = {
             name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
         }
-        key = (number, entries["test"])
-        if key not in cache:
-            cache[key] = _conditions(index, *key)
-        conditions, amounts = cache[key]
+        conditions, amounts = of_test(number, entries["test"])
         value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts))
     return value_rows
 

@@ -33,7 +33,7 @@ FAINT, LEAST_LOUD = 0.01, 8
 
 _RECORDED = (
     "force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature",
-    "moment",
+    "moment"
 )  # fmt: skip
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(?:[^\d:]*|[^:]*:)(\d+):?([+-])[XYZ](?:_\d+)?$")
@@ -134,7 +134,6 @@ def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
 
 
 def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
-    """How a column repeats another; '' where it does not."""
     if np.array_equal(column, other):
         return "a copy" if is_later and np.any(column) else ""
     size = np.abs(other)

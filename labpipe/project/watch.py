@@ -220,10 +220,7 @@ class Watch:
         return path.relative_to(self.folder).as_posix()
 
     def _work(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
-        """The outcomes of recordings as they end.
-
-        Those that are not finished when the watch is stopped are left for the next one.
-        """
+        """Outcomes as they come; what is not finished at a stop is left for the next watch."""
         if not complete:
             return
         with output_folder(self.results) as folder:

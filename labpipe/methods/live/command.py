@@ -220,7 +220,6 @@ def _echo_last(session: Session) -> None:
 
 
 def _echo_by_hand(session: Session) -> None:
-    """The intervals of a test that was ended by hand, by whatever it showed."""
     intervals = session.bench.by_hand() if session.bench else {}
     if intervals:
         echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
@@ -229,7 +228,6 @@ def _echo_by_hand(session: Session) -> None:
 
 
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
-    """A run of a virtual rig, played in real time."""
     import numpy as np
 
     from labpipe.methods.live.session import columns_of

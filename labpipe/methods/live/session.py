@@ -348,7 +348,6 @@ class Session:
 
 
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
-    """What is said at the beginning of a test of a fit that cannot be followed."""
     instead = "it is made once the test has ended"
     if whole:
         more, early = (f"{100 * (look - 1):.0f} %" for look in (NEXT_LOOK, EARLY_LOOK))

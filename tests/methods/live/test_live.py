@@ -392,6 +392,12 @@ def test_frames_on_standard_input(piped):
     assert low < STIFFNESS < high
 
 
+def test_frames_of_a_channel_named_twice_are_refused(piped):
+    """The first of the two was taken for it."""
+    ran = piped(b'{"sample_rate": 1000, "channels": ["f", "y", "f"]}\n' + bytes(24))
+    assert ran.code == 2 and "the header names a channel twice" in ran.err
+
+
 @pytest.mark.long
 def test_frames_without_a_header_are_refused(piped):
     ran = piped(b"1,2,3\n4,5,6\n")
