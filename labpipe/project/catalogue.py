@@ -345,14 +345,10 @@ NUMBERS = ("value", "low_hz", "high_hz")
 
 def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
-    clauses, values = _result_clauses(index, criteria)
-    for condition in criteria.where:
-        clause, bounds = _condition_clause(index, condition)
-        clauses.append(clause)
-        values.extend(bounds)
+    clauses, bound = _clauses(index, criteria)
     columns = [field.name for field in dataclasses.fields(ResultRow)]
     sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
-    rows = index.execute(f"{sql}{_where(clauses)} ORDER BY r.date, r.path", values)
+    rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY r.date, r.path", bound)
     named = (zip(columns, row, strict=True) for row in rows)
     entries: list[dict[str, Any]] = [
         {name: "" if entry is None else entry for name, entry in pairs} for pairs in named
@@ -365,19 +361,17 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
 
     ConfigError for a name that no result has.
     """
-    clauses, bound = _result_clauses(index, criteria, "v.date")
+    clauses, bound = _clauses(index, criteria, "v.date", " AND c.test = v.test")
     for column in NAMED:
         if pattern := getattr(criteria, column):
             names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
             clauses.append(f"v.{column} {_AMONG}")
             bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
-    for condition in criteria.where:
-        clause, bounds = _condition_clause(index, condition, " AND c.test = v.test")
-        clauses.append(clause)
-        bound.extend(bounds)
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
     sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
-    rows = index.execute(f"{sql}{_where(clauses)} ORDER BY v.date, r.path, v.id", bound).fetchall()
+    rows = index.execute(
+        f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound
+    ).fetchall()
     of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
     for *row, number in rows:
@@ -401,10 +395,10 @@ def _conditions(
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
 
-def _result_clauses(
-    index: sqlite3.Connection, criteria: Filter, date: str = "r.date"
+def _clauses(
+    index: sqlite3.Connection, criteria: Filter, date: str = "r.date", same_test: str = ""
 ) -> tuple[list[str], list[Any]]:
-    clauses, bound = [], []
+    clauses, bound = ["1"], []
     if criteria.rig:
         rigs = index.execute("SELECT DISTINCT rig FROM result WHERE rig IS NOT NULL")
         clauses.append(f"r.rig {_AMONG}")
@@ -414,6 +408,10 @@ def _result_clauses(
             # Not a number, which nothing is before or after, for what is no day.
             clauses.append(f"date(substr({date}, 1, 10)) {sign} ?")
             bound.append(checked_day(day))
+    for condition in criteria.where:
+        clause, bounds = _condition_clause(index, condition, same_test)
+        clauses.append(clause)
+        bound.extend(bounds)
     return clauses, bound
 
 
@@ -443,10 +441,6 @@ def checked_day(text: str) -> str:
         raise ConfigError(f"'{text}' is not a date", hint="write it as 2026-11-03") from None
 
 
-def _where(clauses: Sequence[str]) -> str:
-    return f" WHERE {' AND '.join(clauses)}" if clauses else ""
-
-
 def split_condition(text: str) -> tuple[str, str, str]:
     """Name, sign and bound of a condition such as "preload >= 400 N"; ConfigError for what is none."""
     match = _WHERE.match(text)
@@ -457,7 +451,7 @@ def split_condition(text: str) -> tuple[str, str, str]:
     return match["name"], match["sign"], match["bound"]
 
 
-def _condition_clause(index: sqlite3.Connection, text: str, same_test: str = "") -> tuple[str, list[Any]]:
+def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
     """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
     name, _, _ = split_condition(text)
     rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))

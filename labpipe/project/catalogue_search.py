@@ -117,22 +117,16 @@ def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
 
 
 def _holds(table: pa.Table, text: str) -> Any:
-    """Whether a condition such as "preload >= 400 N" holds, for every row.
-
-    ConfigError for one that cannot be read or that no test has.
-    """
+    """Whether a condition holds, for every row; ConfigError for one that no test has, or as of `meeting`."""
     name, _, _ = split_condition(text)
     if dataset_file.CONDITION + name not in table.column_names:
-        raise ConfigError(
-            f"no test has the condition '{name}'",
-            hint=nearest(name, list(dataset_file.columns_of_conditions(table.column_names))),
-        )
+        names = list(dataset_file.columns_of_conditions(table.column_names))
+        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
     met = pa.array(meeting(text, _amounts(table, name)), pa.string())
     return pc.is_in(table[dataset_file.CONDITION + name], met)
 
 
 def _amounts(table: pa.Table, condition: str) -> dict[str, tuple[float | None, str]]:
-    """The texts that tests have for a condition, with their amounts and units."""
     texts = pc.unique(table[dataset_file.CONDITION + condition]).to_pylist()
     return {text: dataset_file.amount_of(text) for text in texts if text is not None}
 
@@ -381,19 +375,17 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
 
 def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
     if over == DATE:
-        first = min(row.date for row in rows if _day(row) is not None)
-        begin = datetime.date.fromisoformat(first[:10])
-        days = [datetime.date.fromisoformat(row.date[:10]) - begin for row in rows]
-        pairs, unit = [(float(d.days), row) for d, row in zip(days, rows, strict=True)], f"d since {first}"
+        days = [datetime.date.fromisoformat(row.date[:10]) for row in rows]
+        condition, unit = [float((day - min(days)).days) for day in days], f"d since {min(days)}"
     else:
         units = sorted({row.amounts[over][1] for row in rows})
         if len(units) > 1:
-            raise ConfigError(
-                f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension"
-            )
-        pairs, unit = [(row.amounts[over][0], row) for row in rows], units[0]
-    pairs.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
-    return Series(fit, parameter, over, unit, np.array([x for x, _ in pairs]), tuple(row for _, row in pairs))
+            what = f"the condition '{over}' has the units {', '.join(units)}"
+            raise ConfigError(what, hint="write it in one dimension")
+        condition, unit = [row.amounts[over][0] for row in rows], units[0]
+    pairs = sorted(zip(condition, rows, strict=True), key=lambda pair: (pair[0], pair[1].date, pair[1].path))
+    places, of_rows = zip(*pairs, strict=True)
+    return Series(fit, parameter, over, unit, np.array(places), of_rows)
 
 
 def _day(row: ValueRow) -> datetime.date | None:

@@ -204,11 +204,10 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if decays:
         lines += [line for fit in decays.items() for line in _decay_lines(*fit, first.rate)]
         return "\n".join(lines) + "\n"
-    force = f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
-    force = first.channels[inputs[0]].key if inputs else force
+    unknown = f"{DECIDE}    {MARK} the channel of {{}}, once rig.yaml knows one"
+    force = first.channels[inputs[0]].key if inputs else unknown.format("the force")
     if not outputs:
-        response = f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one"
-        lines.extend(_fit_lines("fit", force, response, UNSEEN))
+        lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
     lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
     lines.append(
@@ -229,7 +228,6 @@ def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[st
 
 
 def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> str:
-    """A pipeline for all channels side by side, as of a stator that floats around its shaft."""
     lines = [
         "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths "
         "are relative to this file.",
@@ -305,15 +303,14 @@ def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
         "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
     }
+    last = {"modal": [_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
     lines = [f"  {name}:", *by_model[proposal.model]]
     lines += [f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band
         lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))
     # Between lines of noise a mode needs more orders to return.
-    if proposal.model == "modal" and proposal.is_mode:
-        lines.append(_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes"))
-    return lines
+    return lines + last.get(proposal.model if proposal.is_mode else "", [])
 
 
 def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:

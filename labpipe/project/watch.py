@@ -245,7 +245,6 @@ class Watch:
         """
         assert self.pipeline.rig is not None
         test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
-        frf = test.frf or self.pipeline.frf
         name = Path(fits_file_name(test.name)).stem
         other = self._files.setdefault(name, test.name)
         if other != test.name:
@@ -254,7 +253,7 @@ class Watch:
         return Job(
             test,
             (name,),
-            frf=frf,
+            frf=test.frf or self.pipeline.frf,
             fits=self.pipeline.fits,
             rules=self.pipeline.rules,
             pipeline_path=self.pipeline.path,

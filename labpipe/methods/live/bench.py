@@ -545,7 +545,7 @@ class Bench(charts.Watch):
         return not any(code in ("changes", "bad-averages") for code, _ in self.findings)
 
     def by_hand(self) -> dict[str, tuple[float, float]]:
-        """By the t mixture sequence (Wang and Ramdas 2023), tuned to the number of averages there are."""
+        """Intervals that hold whenever one stops: t mixture sequence (Wang and Ramdas 2023) tuned to now."""
         intervals: dict[str, tuple[float, float]] = {}
         for fit in self.fits:
             if (estimate := fit.estimate) is None:

@@ -458,10 +458,6 @@ class Watch:
         names = {"impact": "hit", "periodic": "period", "decay": "decay"}
         return names.get(self.frf.excitation, "average")
 
-    def by_hand(self) -> dict[str, tuple[float, float]]:
-        """Intervals that hold at whatever moment the test is ended, where there are such."""
-        return {}
-
     def keep(self, update: Update) -> None:
         self.updates.append(update)
         if len(self.updates) > MOST_UPDATES:

@@ -133,7 +133,7 @@ def live(
 
 
 def _follow(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
-    """Show every update until it is enough; whether it was."""
+    """Show every update; whether it was enough."""
     with _display(session, as_json, page, quiet) as show:
         last, shown = None, 0.0
         for last in session.updates():
@@ -220,7 +220,9 @@ def _echo_last(session: Session) -> None:
 
 
 def _echo_by_hand(session: Session) -> None:
-    intervals = session.bench.by_hand() if session.bench else {}
+    from labpipe.methods.live.bench import Bench
+
+    intervals = session.bench.by_hand() if isinstance(session.bench, Bench) else {}
     if intervals:
         echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
         for name, (low, high) in intervals.items():

@@ -251,10 +251,9 @@ class Session:
                 self._screen.add(measured)
             self.n_row += piece.shape[0]
             for update in self.bench.add(block):
-                screened = self._screen.findings() if self.n_row else ()
                 kept = self.stream.kept if isinstance(self.stream, Frames) else None
-                full = kept.findings(self._rate or 1.0) if kept else []
-                yield replace(update, findings=(*update.findings, *self.findings, *screened, *full))
+                more = (*self._screen.findings(), *(kept.findings(self._rate) if kept else ()))
+                yield replace(update, findings=(*update.findings, *self.findings, *more))
 
     def _begin(self) -> bool:
         head = np.concatenate(self._head)

@@ -298,7 +298,6 @@ def course(session: Session, update: Update) -> Document:
 
 
 def _responses(session: Session) -> Iterator[Figure]:
-    """What was measured so far, and the curve fitted to it at the last look, as a report shows them."""
     for fit in session.bench.fits if isinstance(session.bench, Bench) else ():
         response = None if fit.estimate is None else fit.response()
         if response is not None and response.variance is not None:
