@@ -63,7 +63,7 @@ def run(
     if only:
         pipeline = load_pipeline(pipeline_path, overrides)
         with results_made(output, lambda name: name in files_of_test(only)) as here:
-            done = run_only(pipeline, here, only)
+            done = run_only(pipeline, here, only, how)
         echo_failed([done.failed] if done.failed else [])
         return 2 if done.failed else 0
     with recorded(output, pipeline_path) as made:

@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import amount_text
 from labpipe.distributions import coverage_factor
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.derived import DIVIDED, BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
 from labpipe.estimation.leakage import expected
@@ -74,20 +74,23 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget |
     sources = sources_of(case.setup, case.measured)
     if not sources or not case.estimate.converged:
         return None
-    step = _step_of(case)
+    step, names = _step_of(case), tuple(parameter.name for parameter in parameters)
 
     def values(changed: Case) -> FloatArray:
         model = _model_of(case, changed)
         estimate = replace(case.estimate, values=step(model, changed.measured))
-        return np.array(
-            [parameter.value for parameter in reported_parameters(estimate, model, changed.setup)]
-        )
+        reported = {p.name: p.value for p in reported_parameters(estimate, model, changed.setup)}
+        if missing := [name for name in names if name not in reported]:
+            what = f"stated uncertainties reach to where there is no {missing[0]}"
+            raise FitError(
+                what, hint="a stiffness or mass about zero has no frequency: another model or band"
+            )
+        return np.array([reported[name] for name in names])
 
     changes = _slopes(case, sources, values)
     kept = np.flatnonzero(np.any(changes != 0, axis=1))
     if not kept.size:
         return None
-    names = tuple(parameter.name for parameter in parameters)
     dof = float(np.min(case.estimate.student_dof))
     return uncertain.Budget(
         names, full_errors(parameters), dof, tuple(sources[n][0] for n in kept), changes[kept]

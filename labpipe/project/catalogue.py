@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import functools
 import json
 import math
 import re
@@ -28,7 +29,7 @@ from labpipe.artefacts.json_file import BAD_ENTRY, read_bytes
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.finding import WARNING, Parameter
+from labpipe.records.finding import WARNING
 from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
 from labpipe.records.sections import section
 from labpipe.registry import nearest
@@ -128,8 +129,9 @@ def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
     before = connection.total_changes
     stamps = dict(connection.execute("SELECT path, stamp FROM result"))
     here = {path.relative_to(folder).as_posix(): path for path in without_staging(folder.rglob(NAME))}
-    for name in stamps.keys() - here.keys():
-        _remove(connection, name)
+    remove = "DELETE FROM result WHERE path = ?"
+    connection.execute("PRAGMA foreign_keys = ON")
+    connection.executemany(remove, [(name,) for name in stamps.keys() - here.keys()])
     for name, path in here.items():
         try:
             status = path.stat()
@@ -138,16 +140,10 @@ def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
             continue
         stamp = f"{status.st_mtime_ns}:{status.st_size}:{status.st_ino}"
         if stamps.get(name) != stamp:
-            _remove(connection, name)
+            connection.execute(remove, (name,))
             _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
     connection.commit()
     return connection.total_changes != before
-
-
-def _remove(connection: sqlite3.Connection, name: str) -> None:
-    for (number,) in connection.execute("SELECT id FROM result WHERE path = ?", (name,)).fetchall():
-        for table, column in (("value", "result"), ("condition", "result"), ("result", "id")):
-            connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (number,))
 
 
 def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
@@ -157,12 +153,10 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
         other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
         rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
-    number = 0
-    for table, row in rows:
-        if table == "result":
-            number = _insert(connection, table, {"path": name, "stamp": stamp, **row})
-        else:
-            _insert(connection, table, {"result": number, **row})
+    (_, whole), *parts = rows
+    number = _insert(connection, "result", {"path": name, "stamp": stamp, **whole})
+    for table, row in parts:
+        _insert(connection, table, {"result": number, **row})
 
 
 def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
@@ -217,28 +211,20 @@ def _check(row: dict[str, Any]) -> dict[str, Any]:
 
 def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
-    low, high = interval(parameter)
-    row = {name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator")}
-    row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "parameter": parameter.name}
-    row |= {"value": parameter.value, "unit": parameter.unit, "std_error": parameter.full_error}
-    row |= {"random_error": listed.random_error, "changes": json.dumps(dict(listed.changes))}
-    row |= {"ci_low": low, "ci_high": high, "significant": parameter.significant}
-    return {**row, "warnings": ", ".join(listed.warnings), "date": date}
-
-
-def interval(parameter: Parameter) -> tuple[float | None, float | None]:
-    """The ends of the 95 % interval, which is wider than noise alone makes it where the residual is not
-    noise.
-    """
-    return parameter.ci95 or (None, None)
+    low, high = parameter.ci95 or (None, None)
+    row = {
+        name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator", "random_error")
+    }
+    row |= {name: getattr(parameter, name) for name in ("value", "unit", "significant")}
+    row |= {"parameter": parameter.name, "std_error": parameter.full_error, "ci_low": low, "ci_high": high}
+    row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "date": date}
+    return {**row, "warnings": ", ".join(listed.warnings), "changes": json.dumps(dict(listed.changes))}
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
     """Add a row and return its number. Table and column names are constants of this module."""
-    marks = ", ".join("?" for _ in row)
-    cursor = connection.execute(
-        f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", tuple(row.values())
-    )
+    marks = ", ".join(f":{name}" for name in row)
+    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", row)
     return int(cursor.lastrowid or 0)
 
 
@@ -252,7 +238,6 @@ def verdict(identification: Identification) -> str:
 
 
 def _all_codes(identification: Identification) -> set[str]:
-    """The warnings of all fits, and of every other section."""
     of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
     sections = identification.sections.items()
     pairs = (pair for name, record in sections for pair in section(name).findings(record))
@@ -266,6 +251,9 @@ def _all_codes(identification: Identification) -> set[str]:
 _WHERE = re.compile(r"^\s*(?P<name>[\w.-]+)\s*(?P<sign>>=|<=|!=|=|>|<)\s*(?P<bound>.+?)\s*$")
 # Relative tolerance in SI of two amounts written alike.
 SAME = 1e-9
+# Criteria that are patterns of names, and the SQL of one of several texts, which are given as JSON.
+NAMED = ("fit", "test", "parameter")
+_AMONG = "IN (SELECT value FROM json_each(?))"
 
 
 @dataclass(frozen=True)
@@ -357,16 +345,13 @@ NUMBERS = ("value", "low_hz", "high_hz")
 
 def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
-    clauses, values = _result_clauses(criteria)
-    for condition in criteria.where:
-        clause, bounds = _condition_clause(index, condition, "")
-        clauses.append(clause)
-        values.extend(bounds)
+    clauses, bound = _clauses(index, criteria)
     columns = [field.name for field in dataclasses.fields(ResultRow)]
     sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
-    rows = index.execute(f"{sql}{_where(clauses)} ORDER BY r.date, r.path", values)
+    rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY r.date, r.path", bound)
+    named = (zip(columns, row, strict=True) for row in rows)
     entries: list[dict[str, Any]] = [
-        dict(zip(columns, ("" if entry is None else entry for entry in row), strict=True)) for row in rows
+        {name: "" if entry is None else entry for name, entry in pairs} for pairs in named
     ]
     return [ResultRow(**entry) for entry in entries]
 
@@ -376,24 +361,18 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
 
     ConfigError for a name that no result has.
     """
-    clauses, bound = _result_clauses(criteria, "v.date")
-    for column in ("fit", "test", "parameter"):
-        pattern = getattr(criteria, column)
-        if pattern:
-            if not index.execute(f"SELECT 1 FROM value WHERE {column} GLOB ?", (pattern,)).fetchone():
-                names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
-                hint = nearest(pattern, [name for (name,) in names])
-                raise ConfigError(f"no result has the {column} '{pattern}'", hint=hint)
-            clauses.append(f"v.{column} GLOB ?")
-            bound.append(pattern)
-    for condition in criteria.where:
-        clause, bounds = _condition_clause(index, condition, " AND c.test = v.test")
-        clauses.append(clause)
-        bound.extend(bounds)
+    clauses, bound = _clauses(index, criteria, "v.date", " AND c.test = v.test")
+    for column in NAMED:
+        if pattern := getattr(criteria, column):
+            names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
+            clauses.append(f"v.{column} {_AMONG}")
+            bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
     sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
-    rows = index.execute(f"{sql}{_where(clauses)} ORDER BY v.date, r.path, v.id", bound).fetchall()
-    cache: dict[tuple[int, str], tuple[dict[str, str], dict[str, tuple[float, str]]]] = {}
+    rows = index.execute(
+        f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound
+    ).fetchall()
+    of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
     for *row, number in rows:
         # SQLite has no not-a-number.
@@ -401,10 +380,7 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
         entries: dict[str, Any] = {
             name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
         }
-        key = (number, entries["test"])
-        if key not in cache:
-            cache[key] = _conditions(index, *key)
-        conditions, amounts = cache[key]
+        conditions, amounts = of_test(number, entries["test"])
         value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts))
     return value_rows
 
@@ -419,16 +395,42 @@ def _conditions(
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
 
-def _result_clauses(criteria: Filter, date: str = "r.date") -> tuple[list[str], list[Any]]:
-    clauses, bound = [], []
+def _clauses(
+    index: sqlite3.Connection, criteria: Filter, date: str = "r.date", same_test: str = ""
+) -> tuple[list[str], list[Any]]:
+    clauses, bound = ["1"], []
     if criteria.rig:
-        clauses.append("r.rig LIKE ?")
-        bound.append(f"%{criteria.rig}%".replace("*", "%"))
+        rigs = index.execute("SELECT DISTINCT rig FROM result WHERE rig IS NOT NULL")
+        clauses.append(f"r.rig {_AMONG}")
+        bound.append(json.dumps([rig for (rig,) in rigs if is_of_rig(criteria.rig, rig)]))
     for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
         if day:
-            clauses.append(f"substr({date}, 1, 10) {sign} ?")
+            # Not a number, which nothing is before or after, for what is no day.
+            clauses.append(f"date(substr({date}, 1, 10)) {sign} ?")
             bound.append(checked_day(day))
+    for condition in criteria.where:
+        clause, bounds = _condition_clause(index, condition, same_test)
+        clauses.append(clause)
+        bound.extend(bounds)
     return clauses, bound
+
+
+def fits(pattern: str, name: str, flags: int = 0) -> bool:
+    """Whether a name is one of a pattern in which '*' stands for any characters."""
+    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, flags | re.DOTALL))
+
+
+def is_of_rig(part: str, rig: str) -> bool:
+    """Whether the name of a rig contains *part*, capital or small."""
+    return fits(f"*{part}*", rig, re.IGNORECASE)
+
+
+def names_meant(column: str, pattern: str, names: Sequence[str]) -> list[str]:
+    """Those of a column's *names* that a pattern means; ConfigError for none."""
+    kept = [name for name in names if fits(pattern, name)]
+    if not kept:
+        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
+    return kept
 
 
 def checked_day(text: str) -> str:
@@ -437,10 +439,6 @@ def checked_day(text: str) -> str:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
         raise ConfigError(f"'{text}' is not a date", hint="write it as 2026-11-03") from None
-
-
-def _where(clauses: Sequence[str]) -> str:
-    return f" WHERE {' AND '.join(clauses)}" if clauses else ""
 
 
 def split_condition(text: str) -> tuple[str, str, str]:
@@ -453,34 +451,43 @@ def split_condition(text: str) -> tuple[str, str, str]:
     return match["name"], match["sign"], match["bound"]
 
 
-def with_datasets(index: sqlite3.Connection) -> list[str]:
-    """The paths of the results whose tests stand in a dataset beside them."""
-    return [path for (path,) in index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")]
-
-
 def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
     """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
-    name, sign, limit = split_condition(text)
-    units = {unit for (unit,) in index.execute("SELECT DISTINCT unit FROM condition WHERE name = ?", (name,))}
-    if not units:
+    name, _, _ = split_condition(text)
+    rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
+    amounts = {written: (amount, unit) for written, amount, unit in rows}
+    if not amounts:
         names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
         raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
-    begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ? AND "
+    begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ?"
+    return f"{begin} AND c.text {_AMONG})", [name, json.dumps(meeting(text, amounts))]
+
+
+def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> list[str]:
+    """Those of the texts that tests have for a condition, with their *amounts*, that meet it.
+
+    ConfigError for a condition that cannot be read, or in another unit than theirs.
+    """
+    name, sign, bound = split_condition(condition)
     try:
-        amount, unit = si_amount(limit)
+        limit, unit = si_amount(bound)
     except UnitError as error:
         if sign not in ("=", "!="):
-            raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
-        return f"{begin}c.text {sign} ?)", [name, limit]
-    if unit not in units:
-        raise ConfigError(
-            f"'{text}': the condition '{name}' is in "
-            f"{', '.join(sorted(units - {''})) or 'words'}, not in {unit}"
-        )
-    near = SAME * max(abs(amount), SAME)
-    test = {"=": "BETWEEN ? AND ?", "!=": "NOT BETWEEN ? AND ?"}.get(sign)
-    if test is not None:
-        return f"{begin}c.unit = ? AND c.amount {test})", [name, unit, amount - near, amount + near]
-    # Amounts equal within the tolerance fall on the side of the sign that includes equality.
-    edge = amount + near if sign in ("<=", ">") else amount - near
-    return f"{begin}c.unit = ? AND c.amount {sign} ?)", [name, unit, edge]
+            raise ConfigError(f"'{condition}': {error.what}", hint=error.hint) from None
+        return [text for text in amounts if (text == bound) == (sign == "=")]
+    units = {unit_of_text for _, unit_of_text in amounts.values()}
+    if units and unit not in units:
+        others = ", ".join(sorted(units - {""})) or "words"
+        raise ConfigError(f"'{condition}': the condition '{name}' is in {others}, not in {unit}")
+    return [
+        text
+        for text, (amount, unit_of_text) in amounts.items()
+        if (sign == "!=" if amount is None or unit_of_text != unit else _is_so(amount, sign, limit))
+    ]
+
+
+def _is_so(amount: float, sign: str, limit: float) -> bool:
+    """Whether a comparison holds; amounts within the tolerance are equal."""
+    if abs(amount - limit) <= SAME * max(abs(limit), SAME):
+        return sign in ("=", ">=", "<=")
+    return sign == "!=" or (amount > limit if sign.startswith(">") else sign[0] == "<" and amount < limit)

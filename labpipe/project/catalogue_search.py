@@ -1,22 +1,18 @@
 """What results below a folder hold: search, comparison of two results, trends over conditions or time.
 
-What the results below a folder hold: those of single results by their index, those of many tests by their
-datasets.
-
-Both are kept. The index spares reading the JSON of a lab's results, of which each is small and may be
-replaced; a dataset is columns already, its parts never change, and it is asked where it lies, however large
-it grows.
+Single results are found by their index, those of many tests by their datasets. The index spares reading the
+JSON of a lab's results, of which each is small and may be replaced; a dataset is columns already, its parts
+never change, and it is asked where it lies, however large it grows.
 """
 
 from __future__ import annotations
 
 import datetime
+import functools
 import json
-import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,19 +27,20 @@ from labpipe.artefacts.identification_file import NAME
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.catalogue import (
     DATE,
-    SAME,
+    NAMED,
     VALUE_COLUMNS,
     Filter,
     ResultRow,
     ValueRow,
     checked_day,
+    is_of_rig,
+    meeting,
+    names_meant,
     open_index,
     results,
     split_condition,
     values,
-    with_datasets,
 )
-from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import nearest
@@ -54,8 +51,6 @@ from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_lim
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
 _GIVEN = ("path", "date")
-_NAMED = ("fit", "test", "parameter")
-_COMPARE = {">=": pc.greater_equal, "<=": pc.less_equal, ">": pc.greater, "<": pc.less}
 
 
 def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
@@ -65,15 +60,16 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
     ConfigError for a name or a condition that no test has.
     """
     table = _choose(folder, criteria)
-    for column in _NAMED:
-        pattern = getattr(criteria, column)
-        if pattern:
-            table = _by_name(table, column, pattern)
+    for column in NAMED:
+        if pattern := getattr(criteria, column):
+            names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
+            kept = names_meant(column, pattern, names)
+            table = table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
     table = _at_conditions(table, criteria.where)
-    conditions = list(dataset_file.columns_of_conditions(table.column_names))
-    units = {condition: _unit(table, condition) for condition in conditions}
+    names = list(dataset_file.columns_of_conditions(table.column_names))
+    amounts = {condition: _amounts(table, condition) for condition in names}
     rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
-    return [_value_row(row, f"{name}/{NAME}" if name != "." else NAME, conditions, units) for row in rows]
+    return [_value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in rows]
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
@@ -105,7 +101,7 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
         if _may_hold(part, criteria)
     ]
     if not tables:
-        return pa.table({name: pa.array([], pa.string()) for name in (*_NAMED, "date")})
+        return pa.table({name: pa.array([], pa.string()) for name in (*NAMED, "date")})
     table = pa.concat_tables(tables, promote_options="default")
     return table.filter(pc.is_valid(table["parameter"]))
 
@@ -113,86 +109,47 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
 def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
     since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
     in_time = (not since or part.date >= since) and (not until or part.date <= until)
-    return in_time and (not criteria.rig or _fits(f"*{criteria.rig}*", part.rig, re.IGNORECASE))
-
-
-def _fits(pattern: str, name: str, flags: int = 0) -> bool:
-    """Whether a name is one of a pattern in which '*' stands for any characters."""
-    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), name, flags | re.DOTALL))
-
-
-def _by_name(table: pa.Table, column: str, pattern: str) -> pa.Table:
-    names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
-    kept = [name for name in names if _fits(pattern, name)]
-    if not kept:
-        raise ConfigError(f"no result has the {column} '{pattern}'", hint=nearest(pattern, names))
-    return table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
+    return in_time and (not criteria.rig or is_of_rig(criteria.rig, part.rig))
 
 
 def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
-    for text in conditions:
-        table = table.filter(_holds(table, text))
-    return table
+    return functools.reduce(lambda chosen, text: chosen.filter(_holds(chosen, text)), conditions, table)
 
 
 def _holds(table: pa.Table, text: str) -> Any:
-    """Whether a condition such as "preload >= 400 N" holds, for every row.
-
-    ConfigError for one that cannot be read or that no test has.
-    """
-    name, sign, bound = split_condition(text)
+    """Whether a condition holds, for every row; ConfigError for one that no test has, or as of `meeting`."""
+    name, _, _ = split_condition(text)
     if dataset_file.CONDITION + name not in table.column_names:
-        raise ConfigError(
-            f"no test has the condition '{name}'",
-            hint=nearest(name, list(dataset_file.columns_of_conditions(table.column_names))),
-        )
-    try:
-        amount, unit = si_amount(bound)
-    except UnitError as error:
-        if sign not in ("=", "!="):
-            raise ConfigError(f"'{text}': {error.what}", hint=error.hint) from None
-        return (pc.equal if sign == "=" else pc.not_equal)(table[dataset_file.CONDITION + name], bound)
-    present = _unit(table, name)
-    if unit != present:
-        raise ConfigError(f"'{text}': the condition '{name}' is in {present or 'words'}, not in {unit}")
-    near = SAME * max(abs(amount), SAME)
-    values = table[dataset_file.AMOUNT + name]
-    if sign in ("=", "!="):
-        same = pc.less_equal(pc.abs(pc.subtract(values, amount)), near)
-        return same if sign == "=" else pc.invert(same)
-    return _COMPARE[sign](values, amount + near if sign in ("<=", ">") else amount - near)
+        names = list(dataset_file.columns_of_conditions(table.column_names))
+        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
+    met = pa.array(meeting(text, _amounts(table, name)), pa.string())
+    return pc.is_in(table[dataset_file.CONDITION + name], met)
 
 
-def _unit(table: pa.Table, condition: str) -> str:
-    """The unit of a condition's amounts; empty for words, and where tests have it in different dimensions."""
-    texts = (
-        text for text in pc.unique(table[dataset_file.CONDITION + condition]).to_pylist() if text is not None
-    )
-    units = {dataset_file.amount_of(text)[1] for text in texts}
-    return units.pop() if len(units) == 1 else ""
+def _amounts(table: pa.Table, condition: str) -> dict[str, tuple[float | None, str]]:
+    texts = pc.unique(table[dataset_file.CONDITION + condition]).to_pylist()
+    return {text: dataset_file.amount_of(text) for text in texts if text is not None}
 
 
-def _value_row(row: dict[str, Any], path: str, conditions: Sequence[str], units: dict[str, str]) -> ValueRow:
+def _value_row(
+    row: dict[str, Any], path: str, amounts: Mapping[str, Mapping[str, tuple[float | None, str]]]
+) -> ValueRow:
     entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
-    texts = {name: text for name in conditions if (text := row[dataset_file.CONDITION + name]) is not None}
+    texts = {name: text for name in amounts if (text := row[dataset_file.CONDITION + name]) is not None}
+    of_row = {name: amounts[name][text] for name, text in texts.items()}
     return ValueRow(
         **entries,
         path=path,
         changes=json.dumps(dict(row["changes"])),
         conditions=texts,
-        amounts={
-            name: (amount, units[name])
-            for name in texts
-            if (amount := row.get(dataset_file.AMOUNT + name)) is not None
-        },
+        amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
     )
 
 
-def folders(names: Sequence[str], folder: Path) -> Iterator[tuple[str, Path]]:
-    """The folders of results with a dataset, by the paths of their results below *folder*."""
-    for name in names:
-        home = Path(name).parent
-        yield home.as_posix(), folder / home
+def _homes(index: sqlite3.Connection, folder: Path) -> dict[str, Path]:
+    """The folders of results with a dataset, by their names as lists show them."""
+    rows = index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")
+    return {Path(path).parent.as_posix(): (folder / path).parent for (path,) in rows}
 
 
 Row = TypeVar("Row", ResultRow, ValueRow)
@@ -204,10 +161,9 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
     ConfigError for a name or a condition that none of them has; DataError for a folder without results.
     """
     with open_index(folder) as index:
-        asked: list[Callable[[], list[ValueRow]]] = []
-        asked += [lambda: values(index, criteria)] if _has_values(index) else []
-        homes = folders(with_datasets(index), folder)
-        return _all_of([*asked, *(partial(dataset_values, home, name, criteria) for name, home in homes)])
+        homes = _homes(index, folder).items()
+        of_datasets = [functools.partial(dataset_values, home, name, criteria) for name, home in homes]
+        return _all_of(index, functools.partial(values, index, criteria), of_datasets)
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
@@ -221,25 +177,26 @@ def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
     Errors as of `found_values`.
     """
     with open_index(folder) as index:
-        homes = dict(folders(with_datasets(index), folder))
+        homes = _homes(index, folder)
         if not homes or not criteria.where:
             return results(index, criteria)
-        asked: list[Callable[[], list[ResultRow]]] = []
-        asked += [lambda: results(index, criteria)] if _has_values(index) else []
         everything = results(index, Filter(rig=criteria.rig, since=criteria.since, until=criteria.until))
-        for row in everything:
-            home = Path(row.path).parent.as_posix()
-            if home in homes:
-                asked.append(partial(_keep, row, homes[home], criteria))
-        return _all_of(asked)
+        pairs = ((row, homes.get(Path(row.path).parent.as_posix())) for row in everything)
+        of_datasets = [
+            functools.partial(_keep, row, home, criteria) for row, home in pairs if home is not None
+        ]
+        return _all_of(index, functools.partial(results, index, criteria), of_datasets)
 
 
-def _has_values(index: sqlite3.Connection) -> bool:
-    return bool(index.execute("SELECT 1 FROM value LIMIT 1").fetchone())
-
-
-def _all_of(asked: list[Callable[[], list[Row]]]) -> list[Row]:
+def _all_of(
+    index: sqlite3.Connection,
+    of_index: Callable[[], list[Row]],
+    of_datasets: Sequence[Callable[[], list[Row]]],
+) -> list[Row]:
     """The rows of all that have what is asked for; the first ConfigError where none has."""
+    asked: list[Callable[[], list[Row]]] = list(of_datasets)
+    if index.execute("SELECT 1 FROM value LIMIT 1").fetchone():
+        asked.insert(0, of_index)
     rows: list[Row] = []
     faults: list[ConfigError] = []
     for ask in asked:
@@ -418,19 +375,17 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
 
 def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
     if over == DATE:
-        first = min(row.date for row in rows if _day(row) is not None)
-        begin = datetime.date.fromisoformat(first[:10])
-        days = [datetime.date.fromisoformat(row.date[:10]) - begin for row in rows]
-        pairs, unit = [(float(d.days), row) for d, row in zip(days, rows, strict=True)], f"d since {first}"
+        days = [datetime.date.fromisoformat(row.date[:10]) for row in rows]
+        condition, unit = [float((day - min(days)).days) for day in days], f"d since {min(days)}"
     else:
         units = sorted({row.amounts[over][1] for row in rows})
         if len(units) > 1:
-            raise ConfigError(
-                f"the condition '{over}' has the units {', '.join(units)}", hint="write it in one dimension"
-            )
-        pairs, unit = [(row.amounts[over][0], row) for row in rows], units[0]
-    pairs.sort(key=lambda pair: (pair[0], pair[1].date, pair[1].path))
-    return Series(fit, parameter, over, unit, np.array([x for x, _ in pairs]), tuple(row for _, row in pairs))
+            what = f"the condition '{over}' has the units {', '.join(units)}"
+            raise ConfigError(what, hint="write it in one dimension")
+        condition, unit = [row.amounts[over][0] for row in rows], units[0]
+    pairs = sorted(zip(condition, rows, strict=True), key=lambda pair: (pair[0], pair[1].date, pair[1].path))
+    places, of_rows = zip(*pairs, strict=True)
+    return Series(fit, parameter, over, unit, np.array(places), of_rows)
 
 
 def _day(row: ValueRow) -> datetime.date | None:

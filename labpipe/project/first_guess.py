@@ -24,6 +24,8 @@ from labpipe.records.finding import Finding
 
 # Largest number of rows read.
 MOST_ROWS = 1 << 21
+# Words that YAML takes for something else than a text.
+NO_TEXTS = ("null", "true", "false")
 # Relative deviation of the steps of a time axis.
 EVEN = 1e-3
 # A copy is looked for where a column exceeds this share of its peak, at so many samples at least.
@@ -31,7 +33,7 @@ FAINT, LEAST_LOUD = 0.01, 8
 
 _RECORDED = (
     "force", "displacement", "velocity", "acceleration", "voltage", "current", "pressure", "temperature",
-    "moment",
+    "moment"
 )  # fmt: skip
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(?:[^\d:]*|[^:]*:)(\d+):?([+-])[XYZ](?:_\d+)?$")
@@ -132,7 +134,6 @@ def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
 
 
 def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
-    """How a column repeats another; '' where it does not."""
     if np.array_equal(column, other):
         return "a copy" if is_later and np.any(column) else ""
     size = np.abs(other)
@@ -288,7 +289,7 @@ def _direction(name: str) -> str:
 def _key(name: str, used_keys: Sequence[str]) -> str:
     """A short name for a channel: the column's without its unit, in letters, digits and underscores."""
     plain = re.sub(r"\W+", "_", _BRACKETS.sub(" ", name)).strip("_").lower() or "channel"
-    key = first = plain if plain[0].isalpha() else f"ch_{plain}"
+    key = first = plain if plain[0].isalpha() and plain not in NO_TEXTS else f"ch_{plain}"
     number = 1
     while key in used_keys:
         number += 1

@@ -80,7 +80,7 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     )
 
 
-def run_only(pipeline: Pipeline, target: Path, test: str) -> one_test.Done:
+def run_only(pipeline: Pipeline, target: Path, test: str, manner: Manner) -> one_test.Done:
     """One test of several up to its fits, into the folder that a run of all of them goes on from; ConfigError
     for a test that there is not.
 
@@ -90,7 +90,9 @@ def run_only(pipeline: Pipeline, target: Path, test: str) -> one_test.Done:
     if test not in names or len(names) < MANY:
         raise ConfigError(f"no test '{test}' among several", pipeline.path, nearest(test, names))
     with staging_folder(existing_home(target)) as scratch:
-        return one_test.work(_jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)])
+        job = _jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)]
+        (done,) = _outcomes([job], manner)
+    return done
 
 
 def identify_many(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification | None:

@@ -44,6 +44,7 @@ from labpipe.records.response import FORMS, FrequencyResponse
 MARK = "# <- decide:"
 # What init asks for: no recording shows it.
 NOT_SHOWN = (
+    "# mass: 1 kg                   # that moves with the response; without it the mass is estimated",
     "# What no recording shows counts as zero in every interval until it is stated (standard uncertainties):",
     "#   sensitivity: 10 mV/N +- 1 %   # the gain of every channel: k, c and m are wrong by as much",
     "#   mass: 1 kg +- 0.01 kg         # a sensor of mass m_t lowers f_n by m_t / 2 m of itself",
@@ -114,7 +115,6 @@ def _is_run_up(file: Path) -> bool:
 
 
 def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[bool]) -> list[str]:
-    """The section for tests at rest and run-ups of one rotor."""
     lines = [
         "# Tests at rest and run-ups of one rotor are one posterior; of another rotor, leave it out.",
         "rotor_system:",
@@ -140,10 +140,8 @@ def _rig(first: FirstLook, path: Path) -> str:
     if first.time:
         lines.append(f"time: {_quoted(first.time)}")
     elif not first.rate:
-        lines.append(
-            f"sample_rate: {DECIDE}    {MARK} the sampling rate, for example 20 kHz; the file does "
-            "not state it"
-        )
+        what = "the sampling rate, for example 20 kHz; the file does not state it"
+        lines.append(f"sample_rate: {DECIDE}    {MARK} {what}")
     lines.append("channels:                      # key = the name used everywhere else")
     undecided = [channel for channel in first.channels if channel.unit == DECIDE]
     open_units = [channel.quantity for channel in undecided if channel.quantity != DECIDE]
@@ -155,9 +153,6 @@ def _rig(first: FirstLook, path: Path) -> str:
         if channel.unit == DECIDE:
             seen.add(channel.quantity)
     lines.extend(f"# not used: {unused}" for unused in first.unused)
-    lines.append(
-        "# mass: 1 kg                   # that moves with the response; without it the mass is estimated"
-    )
     lines.extend(NOT_SHOWN)
     return "\n".join(lines) + "\n"
 
@@ -209,11 +204,10 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if decays:
         lines += [line for fit in decays.items() for line in _decay_lines(*fit, first.rate)]
         return "\n".join(lines) + "\n"
-    force = f"{DECIDE}    {MARK} the channel of the force, once rig.yaml knows one"
-    force = first.channels[inputs[0]].key if inputs else force
+    unknown = f"{DECIDE}    {MARK} the channel of {{}}, once rig.yaml knows one"
+    force = first.channels[inputs[0]].key if inputs else unknown.format("the force")
     if not outputs:
-        response = f"{DECIDE}    {MARK} the channel of a response, once rig.yaml knows one"
-        lines.extend(_fit_lines("fit", force, response, UNSEEN))
+        lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
     lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
     lines.append(
@@ -234,7 +228,6 @@ def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[st
 
 
 def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> str:
-    """A pipeline for all channels side by side, as of a stator that floats around its shaft."""
     lines = [
         "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths "
         "are relative to this file.",
@@ -363,7 +356,6 @@ HEAD_OF_FRFS = (
 
 
 def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
-    """A pipeline that begins with FRFs: one fit for each response, to the first force."""
     files = [Path(path) for path in paths]
     estimator = "ml" if response.covariance is not None else "ls"
     lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
@@ -414,7 +406,6 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
 
 
 def _fits_of(guessed: GuessedFrf, outputs: Sequence[str]) -> Fits:
-    """A fit to each element of the FRFs."""
     mobility, moving = _mobility(guessed), guessed.frequency > 0
     fits = {}
     for number, output in enumerate(outputs):
@@ -435,7 +426,6 @@ def _mobility(guessed: GuessedFrf) -> FloatArray | ComplexArray:
 
 
 def _with_falling_phase(guessed: GuessedFrf) -> GuessedFrf:
-    """The FRFs, conjugated where their phase rises through the highest peak."""
     if not guessed.word or np.sum(guessed.frequency > 0) < 3:
         return guessed
     mobility = _mobility(guessed)

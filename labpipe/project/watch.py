@@ -195,10 +195,10 @@ class Watch:
         for arrived in self._arrived():
             seen[arrived.path] = arrived
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
-            is_complete = (
-                self._seen.get(arrived.path) == arrived or self.settings.settle == 0 or self.settings.once
+            is_same = (
+                self.settings.settle == 0 or self.settings.once or self._seen.get(arrived.path) == arrived
             )
-            if arrived.marked or (still and is_complete):
+            if arrived.marked or (still and is_same):
                 yield arrived
             else:
                 self.counts.arriving += 1
@@ -220,10 +220,7 @@ class Watch:
         return path.relative_to(self.folder).as_posix()
 
     def _work(self, complete: Sequence[Arrived]) -> Iterator[tuple[Done, Job]]:
-        """The outcomes of recordings as they end.
-
-        Those that are not finished when the watch is stopped are left for the next one.
-        """
+        """Outcomes as they come; what is not finished at a stop is left for the next watch."""
         if not complete:
             return
         with output_folder(self.results) as folder:
@@ -248,19 +245,15 @@ class Watch:
         """
         assert self.pipeline.rig is not None
         test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
-        frf = test.frf or self.pipeline.frf
         name = Path(fits_file_name(test.name)).stem
         other = self._files.setdefault(name, test.name)
         if other != test.name:
-            raise DataError(
-                f"its results would have the file name of those of '{other}'",
-                test.name,
-                "rename the recording",
-            )
+            what = f"its results would have the file name of those of '{other}'"
+            raise DataError(what, test.name, "rename the recording")
         return Job(
             test,
             (name,),
-            frf=frf,
+            frf=test.frf or self.pipeline.frf,
             fits=self.pipeline.fits,
             rules=self.pipeline.rules,
             pipeline_path=self.pipeline.path,
@@ -277,9 +270,8 @@ class Watch:
 
     def _take(self, done: Done, job: Job) -> None:
         if done.halts and done.failed is not None:
-            raise DataError(
-                done.failed.message, self.results, "what was worked on is kept; start the watch again"
-            )
+            hint = "what was worked on is kept; start the watch again"
+            raise DataError(done.failed.message, self.results, hint)
         self._keep(outcome_of(done, job.test))
         for remark in done.remarks:
             self._log("damaged", done.test, remark=remark)
@@ -295,13 +287,8 @@ class Watch:
         self.counts.evaluated += 1
         self.counts.failed += row.failed is not None
         self.tell(f"{row.test}: {row.failed or row.warnings or 'done'}")
-        self._log(
-            "failed" if row.failed else "evaluated",
-            row.test,
-            failed=row.failed,
-            accepted=row.accepted,
-            warnings=row.warnings,
-        )
+        said = {"failed": row.failed, "accepted": row.accepted, "warnings": row.warnings}
+        self._log("failed" if row.failed else "evaluated", row.test, **said)
         if len(self._waiting) >= PART_TESTS:
             self._append(whole=True)
 
@@ -358,35 +345,25 @@ class Watch:
     def _write_metrics(self) -> None:
         """Counters for Prometheus, as a text file of the node exporter's collector."""
         index, counts = self._summary.index, self.counts
-        values = (
-            (
-                "watch_recordings_evaluated_total",
-                counts.evaluated,
-                "Recordings worked on since the watch began",
-            ),
-            (
-                "watch_recordings_failed_total",
-                counts.failed,
-                "Recordings that could not be evaluated since then",
-            ),
-            ("watch_results_waiting", counts.waiting, "Results not yet appended to the dataset"),
-            ("watch_recordings_arriving", counts.arriving, "Recordings that are not complete yet"),
-            ("dataset_tests", index.tests, "Tests with a result in the dataset"),
-            ("dataset_tests_failed", index.failed, "Tests without a result in the dataset"),
-            (
-                "dataset_tests_not_accepted",
-                index.not_accepted,
-                "Tests in the dataset whose rules do not all hold",
-            ),
-            ("watch_cpu_seconds_total", sum(os.times()[:4]), "Processor time of the watch"),
-            ("watch_last_look_seconds", self.clock(), "Time of the last look, seconds since 1970"),
-        )
+        values = {
+            "watch_recordings_evaluated_total": (counts.evaluated, "Recordings worked on since the start"),
+            "watch_recordings_failed_total": (counts.failed, "Recordings not evaluated since the start"),
+            "watch_results_waiting": (counts.waiting, "Results not yet appended to the dataset"),
+            "watch_recordings_arriving": (counts.arriving, "Recordings that are not complete yet"),
+            "dataset_tests": (index.tests, "Tests with a result in the dataset"),
+            "dataset_tests_failed": (index.failed, "Tests without a result in the dataset"),
+            "dataset_tests_not_accepted": (index.not_accepted, "Tests whose rules do not all hold"),
+            "watch_cpu_seconds_total": (sum(os.times()[:4]), "Processor time of the watch"),
+            "watch_last_look_seconds": (self.clock(), "Time of the last look, seconds since 1970"),
+        }
         lines = []
-        for name, value, text in values:
+        for name, (value, text) in values.items():
             # Totals are counters by the convention of Prometheus.
             kind = "counter" if name.endswith("_total") else "gauge"
-            lines.append(
-                f"# HELP labpipe_{name} {text}\n# TYPE labpipe_{name} {kind}\nlabpipe_{name} {value}\n"
-            )
+            lines += [
+                f"# HELP labpipe_{name} {text}",
+                f"# TYPE labpipe_{name} {kind}",
+                f"labpipe_{name} {value}",
+            ]
         with output_file((self.logs or self.results) / METRICS) as file:
-            file.write_text("".join(lines))
+            file.write_text("\n".join([*lines, ""]))

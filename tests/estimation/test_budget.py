@@ -9,6 +9,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from labpipe.errors import FitError
 from labpipe.estimation.draws import drawn_error
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
@@ -105,6 +106,17 @@ def test_parameters_hold_the_combined_uncertainty(rng) -> None:
     assert k.ci95[1] - k.value == pytest.approx(1.96 * k.full_error, rel=0.1)
     # Without a known mass all coefficients go as force over displacement.
     assert k.systematic / k.value == pytest.approx(np.hypot(0.01, 0.005), rel=1e-2)
+
+
+def test_a_frequency_that_uncertainties_take_away_is_refused() -> None:
+    """A k of 1 mN/m changes its sign by 0.1 % of a standard uncertainty of m w^2, and has no f_n then."""
+    w = 2 * np.pi * BAND
+    matrix = (1 / (1e-3 - M * w**2 + 1j * w * C))[:, None, None]
+    ports = (Port("x", "x", "x", 0.0, ()),), (Port("f", "f", "x", 0.0, ()),)
+    std = 1e-9 * np.max(np.abs(matrix))
+    response = FrequencyResponse(BAND, matrix, *ports, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+    with pytest.raises(FitError, match="stated uncertainties reach to where there is no f_n"):
+        identify(response, settings("ml", mass="0.79 kg +- 1 %"))
 
 
 def test_common_sources_cancel_or_add(rng) -> None:

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import duckdb
@@ -17,6 +18,8 @@ import pytest
 from labpipe.artefacts.dataset_file import _name
 from labpipe.errors import ConfigError
 from labpipe.project.catalogue_search import _holds
+from labpipe.project.executors import Execute, Work, serially
+from labpipe.project.one_test import Done, Job
 from tests.project.laboratory import PIPELINE, contents, laboratory, recording
 
 ROOT = Path(__file__).parent.parent.parent
@@ -226,6 +229,24 @@ def test_a_test_that_fails_or_is_not_there_ends_with_2(jobs: Path, labpipe) -> N
     assert ended.code == 2 and "no test 't3' among several; did you mean" in ended.err
 
 
+def test_one_test_alone_is_worked_on_where_the_options_say(jobs: Path, labpipe, monkeypatch) -> None:
+    """`-j` and `--cluster` choose how jobs are done, one as well as many."""
+    asked: list[tuple[int, str | None]] = []
+
+    def executor(processes: int, cluster: str | None) -> Execute:
+        def execute(work: Work, given: Sequence[Job]) -> Iterator[Done]:
+            asked.append((processes, cluster))
+            return serially(work, given)
+
+        return execute
+
+    monkeypatch.setattr("labpipe.cli.many.executor", executor)
+    alone = ("run", "fleet.yaml", "-o", "out", "-q", "--only")
+    assert labpipe(*alone, "t03", "-j", "2").code == 0
+    assert labpipe(*alone, "t04", "--cluster", "tcp://10.0.0.1:8786").code == 0
+    assert asked == [(2, None), (1, "tcp://10.0.0.1:8786")]
+
+
 @pytest.mark.long
 def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
     """As Snakemake runs it, two jobs at a time, of three tests: the bytes of one run.
@@ -298,3 +319,6 @@ def test_conditions_choose_rows_by_amounts_or_words(condition: str, kept: list[i
         _holds(table, "load = 1 m")
     with pytest.raises(ConfigError, match="oil > VG 32"):
         _holds(table, "oil > VG 32")
+    mixed = pa.table({"row": [0, 1, 2], "condition.load": ["1 N", "2 mm", "high"]})
+    assert mixed.filter(_holds(mixed, "load >= 0.5 N"))["row"].to_pylist() == [0]
+    assert mixed.filter(_holds(mixed, "load != 2 mm"))["row"].to_pylist() == [0, 2]

@@ -159,6 +159,8 @@ def test_directions_are_words_or_last_letters(name: str, dof: str) -> None:
         ("  a  b ", "a_b"),
         ("[N]", "channel"),
         ("Ü1", "ü1"),
+        ("Null [N]", "ch_null"),
+        ("true", "ch_true"),
     ],
 )
 def test_keys_are_letters_digits_and_underscores(name: str, key: str) -> None:

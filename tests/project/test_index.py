@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from labpipe.artefacts.identification_file import write_identification
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import widen
-from labpipe.project.catalogue import INDEX, Filter, interval, open_index, results, values, verdict
+from labpipe.project.catalogue import INDEX, Filter, open_index, results, values, verdict
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome, warning_codes
 
@@ -163,11 +163,9 @@ def test_an_interval_is_widened_as_its_error_is(value: float, error: float, fact
     plain = Parameter(
         "k", value, "N/m", std_error=error, t_ratio=None, ci95=(value - 2 * error, value + 2 * error)
     )
-    assert interval(plain) == plain.ci95
-    low, high = interval(widen(plain, factor))
+    low, high = widen(plain, factor).ci95
     assert high - low == pytest.approx(4 * factor * error, rel=1e-6, abs=1e-6 * abs(value) * 1e-6)
     assert (low + high) / 2 == pytest.approx(value, abs=1e-6 * (abs(value) + factor * error))
-    assert interval(replace(plain, ci95=None)) == (None, None)
 
 
 # the date of a result
@@ -220,6 +218,33 @@ def test_without_a_stated_date_the_file_s_day_counts(tmp_path: Path) -> None:
 def test_conditions_are_compared_as_amounts_or_as_words(tmp_path: Path, where: str, found: bool) -> None:
     store(tmp_path / "a", 1.0)
     assert stiffnesses(tmp_path, where=(where,)) == ([1.0] if found else [])
+
+
+@pytest.mark.parametrize(
+    ("asked", "found"),
+    [
+        ({"test": "run [1]"}, [1.0]),
+        ({"test": "run ?"}, [3.0]),
+        ({"test": "run *"}, [1.0, 2.0, 3.0]),
+        ({"rig": "rig_a"}, [1.0]),
+        ({"rig": "PRÜF"}, [3.0]),
+        ({"where": ("batch != 12",)}, [2.0, 3.0]),
+        ({"where": ("load >= 1 mm",)}, [3.0]),
+        ({"since": "2026-01-01"}, [1.0, 3.0]),
+    ],
+)
+def test_names_are_taken_as_they_stand(tmp_path: Path, asked: dict[str, object], found: list[float]) -> None:
+    """A pattern's one sign is '*'; what is not equal to an amount may be a word; a date is one."""
+    tests = (
+        ("run [1]", "rig_a", {"batch": "12", "load": "1 N", "date": "2026-11-03"}),
+        ("run 1", "rig-a", {"batch": "A12", "load": "2 N", "date": "3 Nov 2026"}),
+        ("run ?", "Prüfstand", {"batch": "13", "load": "3 mm", "date": "2026-11-04"}),
+    )
+    for number, (test, rig, conditions) in enumerate(tests, 1):
+        fit = replace(FIT, test=test, parameters=(replace(K, value=float(number)),))
+        settings = {"tests": [{"name": test, "conditions": conditions}]}
+        store(tmp_path / str(number), fits=(fit,), rig={"name": rig}, settings=settings)
+    assert sorted(stiffnesses(tmp_path, **asked)) == found
 
 
 def test_rows_carry_what_is_known_of_their_test(tmp_path: Path) -> None:

@@ -87,6 +87,17 @@ class FollowedFit:
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
 
+    def check(self, averages: Sequence[running_fit.Average]) -> None:
+        """FitError for the first *averages* of a direction that show no motion, or no noise at all."""
+        z = np.array([self.picked(average) for average in averages])
+        for number, port in enumerate(self.setup.outputs):
+            if not z[..., number].any():
+                what = f"{port.label} is zero at every line of the band; is the sensor connected?"
+                raise FitError(f"identify.{self.settings.name}: {what}")
+        if np.array_equal(z[0], z[1]):
+            what = f"identify.{self.settings.name}: averages are equal to the last digit"
+            raise FitError(what, hint="without noise no interval is known: a test cannot end by its width")
+
     def add(self, z: ComplexArray, direction: int) -> None:
         """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction."""
         sums = self.sums.of(direction)
@@ -171,7 +182,7 @@ class FollowedFit:
             common = self.common.get(parameter.name)
             if common is not None and parameter.ci95 is not None:
                 low, high = parameter.ci95
-                value, half = parameter.value + common.shift, math.hypot((high - low) / 2, common.half)
+                value, half = common.whole(parameter.value, (high - low) / 2)
                 ends, reason = (value - half, value + half), common.reason or parameter.reason
                 parameter = replace(parameter, value=value, ci95=ends, reason=reason)
             parameters.append(parameter)
@@ -233,19 +244,14 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     """Why a fit cannot be followed average by average, '' where it can: that takes a model linear in its
     parameters, maximum likelihood, and plain periods or hits of these *channels* at *rate* [Hz].
     """
+    excitation, model = frf.excitation, settings.model
     of_all = any((settings.eliminate, settings.bootstrap, settings.monte_carlo, settings.compare))
     several = settings.sliding is not None or settings.peaks or len(settings.bands) > 1
     reasons = (
-        (
-            frf.excitation not in running_fit.CUTTERS,
-            f"{frf.excitation} data are known by all samples together",
-        ),
+        (excitation not in running_fit.CUTTERS, f"{excitation} data are known by all samples together"),
         (not frf.single_averages, "its FRF follows from all averages together"),
-        (
-            settings.kind.of == SPECTRA,
-            f"{settings.model} balances all channels by mass and support, not an FRF",
-        ),
-        (settings.kind.equations is None, f"the model {settings.model} is not linear in its parameters"),
+        (settings.kind.of == SPECTRA, f"{model} balances all channels by mass and support, not an FRF"),
+        (settings.kind.equations is None, f"the model {model} is not linear in its parameters"),
         (not settings.estimates.likelihood, "`estimator: ml` alone is followed"),
         (of_all, "what `eliminate`, `bootstrap`, `monte_carlo` and `compare` do takes all averages"),
         (several, "it has several bands"),
@@ -314,7 +320,6 @@ class Bench(charts.Watch):
         return self.frf.excitation == "impact"
 
     def restart(self) -> None:
-        """The samples that follow belong to another recording."""
         self.cutter.restart()
 
     def add(self, block: FloatArray) -> list[charts.Update]:
@@ -373,6 +378,8 @@ class Bench(charts.Watch):
             raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
         self.lines = np.flatnonzero(chosen)
         self.fits = [FollowedFit(fit, self.layout, frequency[chosen], self.hits) for fit in self.settings]
+        for fit in self.fits:
+            fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
     def _follow(self, average: running_fit.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
@@ -496,9 +503,11 @@ class Bench(charts.Watch):
                 message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
                 findings.append(Finding("collinear", message))
             if estimate.misfit and estimate.n >= 3:
-                size = f"chi-square per degree of freedom is {estimate.reduced:.3g}"
-                message = "the model does not explain the averages within their noise; intervals count that"
-                findings.append(Finding("model-mismatch", f"{name}: {size}: {message}"))
+                message = (
+                    f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does not "
+                )
+                message += "explain the averages within their noise; intervals count that"
+                findings.append(Finding("model-mismatch", message))
             for label, standing in standings.items():
                 owner, _, parameter = label.partition(".")
                 if owner != name or standing.goal is None or standing.reached:
@@ -536,7 +545,7 @@ class Bench(charts.Watch):
         return not any(code in ("changes", "bad-averages") for code, _ in self.findings)
 
     def by_hand(self) -> dict[str, tuple[float, float]]:
-        """By the t mixture sequence (Wang and Ramdas 2023), tuned to the number of averages there are."""
+        """Intervals that hold whenever one stops: t mixture sequence (Wang and Ramdas 2023) tuned to now."""
         intervals: dict[str, tuple[float, float]] = {}
         for fit in self.fits:
             if (estimate := fit.estimate) is None:
@@ -547,6 +556,6 @@ class Bench(charts.Watch):
                 common = fit.common.get(name)
                 half = fit.by_chi_square * error * charts.sequence_factor(estimate.n, estimate.n, float(dof))
                 if common is not None:
-                    value, half = value + common.shift, math.hypot(half, common.half)
+                    value, half = common.whole(value, half)
                 intervals[f"{fit.settings.name}.{name}"] = (float(value - half), float(value + half))
         return intervals

@@ -270,7 +270,8 @@ def forecast(
     moved = np.sqrt(4 * relative**2 * (1 - n / expected) + variation * (1 / n - 1 / expected))
     ends = [needed(estimate, number, goal, coverage, float(np.exp(sign * BAND * spread))) for sign in (-1, 1)]
     low = None if ends[0] is None else max(n + 1, int(np.floor(ends[0] * np.exp(-BAND * moved))))
-    high = None if ends[1] is None else int(np.ceil(ends[1] * np.exp(BAND * moved)))
+    latest = FAR if ends[1] is None else np.ceil(ends[1] * np.exp(min(BAND * moved, 100.0)))
+    high = int(latest) if latest < FAR else None
     return Forecast(expected, low, high)
 
 
@@ -329,11 +330,12 @@ class Goal:
     def half(self, parameter: Parameter) -> float:
         """The width that is asked for in the parameter's unit; ConfigError for another unit."""
         try:
-            if self.limit.endswith("%"):
-                return parse_value(self.limit, "1") * abs(parameter.value)
-            return parse_value(self.limit, parameter.unit)
+            limit = parse_value(self.limit, "1" if self.limit.endswith("%") else parameter.unit)
         except UnitError as error:
             raise ConfigError(f"--until: '{self.text}': {error.what}", hint=error.hint) from None
+        if limit <= 0:
+            raise ConfigError(f"--until: '{self.text}': no interval is so narrow", hint="a width above zero")
+        return limit * abs(parameter.value) if self.limit.endswith("%") else limit
 
 
 @dataclass(frozen=True)
@@ -345,6 +347,10 @@ class Common:
     half: float
     shift: float
     reason: str
+
+    def whole(self, value: float, half: float) -> tuple[float, float]:
+        """The value and half-width with these, by those of noise [parameter unit]."""
+        return value + self.shift, math.hypot(half, self.half)
 
 
 def lasting(parameter: Parameter) -> float:
@@ -451,10 +457,6 @@ class Watch:
         """What an average of the test is."""
         names = {"impact": "hit", "periodic": "period", "decay": "decay"}
         return names.get(self.frf.excitation, "average")
-
-    def by_hand(self) -> dict[str, tuple[float, float]]:
-        """Intervals that hold at whatever moment the test is ended, where there are such."""
-        return {}
 
     def keep(self, update: Update) -> None:
         self.updates.append(update)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,14 @@ PICTURE = 0.25
 FRAMES = "frames"
 
 
+def _above_zero(text: str) -> float:
+    """A number above zero; BadParameter for another one."""
+    with suppress(ValueError):
+        if 0 < (number := float(text)) < math.inf:
+            return number
+    raise click.BadParameter("a number above zero is needed")
+
+
 @click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @click.argument("source", metavar="[SOURCE]", required=False)
@@ -43,12 +52,24 @@ FRAMES = "frames"
 @click.option("--bell", is_flag=True, help="Ring when it is enough.")
 @options.path("-o", "--output", metavar="DIR", help="Afterwards run the pipeline over the recording.")
 @click.option(
-    "--idle", type=float, default=90.0, show_default=True, help="Seconds without samples that end the test."
+    "--idle",
+    type=_above_zero,
+    metavar="SECONDS",
+    default="90",
+    show_default=True,
+    help="Seconds without samples that end the test.",
 )
 @options.path("--simulate", metavar="RIG", help="A virtual rig in place of SOURCE.")
 @click.option("--run", "run_name", default="", help="Run of the virtual rig; default: the first.")
-@click.option("--speed", type=float, default=1.0, show_default=True, help="How much faster than real time.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Noise of the virtual rig.")
+@click.option(
+    "--speed",
+    type=_above_zero,
+    metavar="NUMBER",
+    default="1",
+    show_default=True,
+    help="How much faster than real time.",
+)
+@click.option("--seed", type=options.COUNT, default=1, show_default=True, help="Noise of the virtual rig.")
 @options.overrides
 @options.quiet
 def live(
@@ -112,7 +133,7 @@ def live(
 
 
 def _follow(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
-    """Show every update until it is enough; whether it was."""
+    """Show every update; whether it was enough."""
     with _display(session, as_json, page, quiet) as show:
         last, shown = None, 0.0
         for last in session.updates():
@@ -192,16 +213,16 @@ def _picture(session: Session, update: Update) -> Any:
 def _echo_last(session: Session) -> None:
     from labpipe.methods.live.view import HEADER, rows_of
 
-    updates = session.bench.updates if session.bench else []
-    if updates:
-        echo_table(HEADER, rows_of(session, updates[-1]))
-        for finding in updates[-1].findings:
+    for last in session.seen[-1:]:
+        echo_table(HEADER, rows_of(session, last))
+        for finding in last.findings:
             echo(f"{finding.code}: {finding.message}")
 
 
 def _echo_by_hand(session: Session) -> None:
-    """The intervals of a test that was ended by hand, by whatever it showed."""
-    intervals = session.bench.by_hand() if session.bench else {}
+    from labpipe.methods.live.bench import Bench
+
+    intervals = session.bench.by_hand() if isinstance(session.bench, Bench) else {}
     if intervals:
         echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
         for name, (low, high) in intervals.items():
@@ -209,7 +230,6 @@ def _echo_by_hand(session: Session) -> None:
 
 
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
-    """A run of a virtual rig, played in real time."""
     import numpy as np
 
     from labpipe.methods.live.session import columns_of

@@ -78,7 +78,6 @@ class WholeFits(Watch):
         self._next, self._looked_at, self._firsts = 0.0, 0, [0]
 
     def restart(self) -> None:
-        """The samples that follow belong to another recording."""
         if self.n_sample > self._firsts[-1]:
             self._firsts.append(self.n_sample)
 
@@ -252,10 +251,9 @@ class Session:
                 self._screen.add(measured)
             self.n_row += piece.shape[0]
             for update in self.bench.add(block):
-                screened = self._screen.findings() if self.n_row else ()
                 kept = self.stream.kept if isinstance(self.stream, Frames) else None
-                full = kept.findings(self._rate or 1.0) if kept else []
-                yield replace(update, findings=(*update.findings, *self.findings, *screened, *full))
+                more = (*self._screen.findings(), *(kept.findings(self._rate) if kept else ()))
+                yield replace(update, findings=(*update.findings, *self.findings, *more))
 
     def _begin(self) -> bool:
         head = np.concatenate(self._head)
@@ -324,11 +322,21 @@ class Session:
             begin = end
 
     def _end(self) -> Iterator[Update]:
-        if self.bench is None:
-            raise DataError("the source ended before it held enough samples", hint="is it the right one?")
         if isinstance(self.bench, WholeFits):
             for update in self.bench.look():
                 yield replace(update, findings=(*update.findings, *self.findings))
+        if self.bench is None or not self.bench.updates:
+            raise DataError("the source ended before it held enough samples", hint="is it the right one?")
+
+    @property
+    def what(self) -> str:
+        """What an average is, once the test has begun."""
+        return self.bench.what if self.bench else ""
+
+    @property
+    def seen(self) -> list[Update]:
+        """All updates so far."""
+        return self.bench.updates if self.bench else []
 
     @property
     def recorded(self) -> list[Path]:
@@ -339,7 +347,6 @@ class Session:
 
 
 def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
-    """What is said at the beginning of a test of a fit that cannot be followed."""
     instead = "it is made once the test has ended"
     if whole:
         more, early = (f"{100 * (look - 1):.0f} %" for look in (NEXT_LOOK, EARLY_LOOK))

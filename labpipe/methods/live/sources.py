@@ -318,6 +318,8 @@ class Frames:
             raise DataError("standard input begins with no header", hint=hint) from None
         if self._kind.kind not in "iuf" or not self.sample_rate > 0:
             raise DataError(f"samples of the type {self._kind} at {self.sample_rate:g} Hz cannot be read")
+        if len(set(self.channels)) < len(self.channels):
+            raise DataError("the header names a channel twice", "standard input", "give each its own name")
         check_names(Path("standard input"), self.columns, self.channels)
         self._picked = [self.channels.index(name) for name in self.columns]
         self._frame = self._kind.itemsize * len(self.channels)

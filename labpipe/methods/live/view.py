@@ -252,20 +252,18 @@ def level_text(session: Session, name: str, size: float) -> str:
 
 def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]:
     """Coefficient, value with its interval, goal, what is left; those asked for first."""
-    what = session.bench.what if session.bench else ""
     rows = []
     for name, standing in sorted(update.standings.items(), key=lambda entry: entry[1].goal is None):
         value, unit = standing.parameter.value, standing.parameter.unit
         goal = "" if standing.goal is None else f"± {100 * standing.goal / abs(value):.2g} %"
         half = standing.half if math.isfinite(standing.half) else None
-        rows.append((name, amount_text(value, half, unit), goal, left_text(standing, update, what)))
+        rows.append((name, amount_text(value, half, unit), goal, left_text(standing, update, session.what)))
     return rows
 
 
 def headline(session: Session, update: Update) -> str:
     """One sentence: where the test stands."""
-    what = session.bench.what if session.bench else ""
-    count = counted(update.averages, what)
+    count = counted(update.averages, session.what)
     if update.stop:
         return f"Enough: {count}, every goal is reached."
     goals = [standing for standing in update.standings.values() if standing.goal is not None]
@@ -282,8 +280,7 @@ def course(session: Session, update: Update) -> Document:
         holds = "Intervals hold at this moment: of noise, model error and stated uncertainties"
         blocks.append(Table(HEADER, tuple(rows), holds))
     sections = [Section("Where the test stands", tuple(blocks))]
-    updates = session.bench.updates if session.bench else []
-    coefficients = coefficients_of(updates)
+    coefficients = coefficients_of(session.seen)
     figures = [course_figure(coefficients)] if coefficients else []
     figures += _responses(session)
     if figures:
@@ -292,7 +289,7 @@ def course(session: Session, update: Update) -> Document:
     if update.levels:
         levels = tuple((name, level_text(session, name, size)) for name, size in update.levels.items())
         came.append(Table(("channel", "largest size"), levels, "Levels of the last average"))
-    events = [event for earlier in updates for event in earlier.events]
+    events = [event for earlier in session.seen for event in earlier.events]
     if events:
         came.append(Table(("average",), tuple((event,) for event in events[-40:]), "The last averages"))
     if came:
@@ -301,7 +298,6 @@ def course(session: Session, update: Update) -> Document:
 
 
 def _responses(session: Session) -> Iterator[Figure]:
-    """What was measured so far, and the curve fitted to it at the last look, as a report shows them."""
     for fit in session.bench.fits if isinstance(session.bench, Bench) else ():
         response = None if fit.estimate is None else fit.response()
         if response is not None and response.variance is not None:

@@ -84,8 +84,11 @@ class DiscSettings(Settings):
             raise ConfigError("length: is missing", hint=hint)
         by, idle = "dimensions", ["polar_inertia", "transverse_inertia"]
         if self.mass is not None:
-            if None in (self.polar_inertia, self.transverse_inertia):
+            if self.polar_inertia is None or self.transverse_inertia is None:
                 raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
+            # I_p = 2 I_t of a thin disc is the most that a body can have; rounding is no fault.
+            if self.polar_inertia > 2.01 * self.transverse_inertia:
+                raise ConfigError("polar_inertia is more than twice transverse_inertia, as of no body")
             by, idle = "mass", ["inner_diameter", "length", "material"]
         for key in self.written:
             if key in idle:

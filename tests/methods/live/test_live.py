@@ -392,6 +392,12 @@ def test_frames_on_standard_input(piped):
     assert low < STIFFNESS < high
 
 
+def test_frames_of_a_channel_named_twice_are_refused(piped):
+    """The first of the two was taken for it."""
+    ran = piped(b'{"sample_rate": 1000, "channels": ["f", "y", "f"]}\n' + bytes(24))
+    assert ran.code == 2 and "the header names a channel twice" in ran.err
+
+
 @pytest.mark.long
 def test_frames_without_a_header_are_refused(piped):
     ran = piped(b"1,2,3\n4,5,6\n")
@@ -933,3 +939,26 @@ def test_frames_that_were_read_outlast_a_kill(bench):
         last = json.loads(lines[-1])
         assert last["averages"] == sum(max(part, 0) for part in parts) and not last["findings"]
         assert not (bench / "out" / "frames").exists()
+
+
+@pytest.mark.parametrize(
+    ("rows", "options", "what"),
+    [
+        (
+            samples(5) * [1, 0],
+            (),
+            "identify.s: y is zero at every line of the band; is the sensor connected?",
+        ),
+        (samples(3), ("--set", "frf.skip=9"), "the source ended before it held enough samples"),
+        (samples(2), ("--idle", "nan"), "'--idle': a number above zero is needed"),
+        (samples(2), ("--speed", "inf"), "'--speed': a number above zero is needed"),
+        (samples(5, noise=0.0), (), "identify.s: averages are equal to the last digit"),
+        (samples(5), ("--until", "k.expanded<=-1%"), "--until: 'k.expanded<=-1%': no interval is so narrow"),
+        (samples(5), ("--until", "k.expanded<=0 N/m"), "no interval is so narrow; a width above zero"),
+    ],
+    ids=["no motion", "no average", "no time", "no speed", "no noise", "negative goal", "zero goal"],
+)
+def test_what_no_average_can_tell_ends_with_a_message(bench, labpipe, rows, options, what):
+    write_csv(bench / "test.csv", rows)
+    ended = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", "--idle", "0.1", *options)
+    assert ended.code == 2 and what in ended.err

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -182,6 +184,15 @@ def test_forecast_of_noise_alone_is_the_square_of_the_widths():
     assert ahead.low < ahead.expected < ahead.high
     assert forecast(estimate, 0, half, 0.95).expected == 10
     assert forecast(estimate, 0, 0.0, 0.95).expected is None
+
+
+def test_a_coefficient_near_zero_has_a_forecast_without_a_latest_end():
+    """Its relative error is without bound, and so is the upper end of when a goal is reached."""
+    noise = {"std_error": np.array([1.0]), "dof": np.array([100.0]), "values": np.array([1e-9])}
+    ahead = forecast(SimpleNamespace(n=5, **noise), 0, 0.5, 0.95)
+    # The half-width of 5 averages is 2.0, a quarter takes 16 times as many; t and its widening add little.
+    assert ahead.expected is not None and 60 < ahead.expected < 100
+    assert ahead.low == 6 and ahead.high is None
 
 
 def test_a_width_that_model_error_holds_up_no_longer_falls():

@@ -55,7 +55,7 @@ def test_what_is_still_to_come(standing: Standing, text: str) -> None:
 
 
 def test_rows_begin_with_what_was_asked_for() -> None:
-    session: Any = SimpleNamespace(bench=SimpleNamespace(what="hit"))
+    session: Any = SimpleNamespace(what="hit")
     rows = rows_of(session, update(replace(OPEN, parameter=C, goal=None), OPEN))
     assert [row[0] for row in rows] == ["k", "c"]
     assert rows[0][1:3] == ("18.00 ± 0.40 kN/m", "± 0.56 %") and rows[0][3].startswith("11 more hits")
@@ -76,7 +76,7 @@ def test_rows_begin_with_what_was_asked_for() -> None:
     ],
 )
 def test_where_the_test_stands(standings: tuple[Standing, ...], stop: bool, text: str) -> None:
-    session: Any = SimpleNamespace(bench=SimpleNamespace(what="hit"))
+    session: Any = SimpleNamespace(what="hit")
     said = headline(session, update(*standings, stop=stop))
     assert said == ("Enough: 5 hits, every goal is reached." if stop else f"5 hits. {text}")
 

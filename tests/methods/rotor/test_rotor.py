@@ -120,6 +120,8 @@ def test_overrides_and_the_rig_with_other_bearings(small: Path) -> None:
         ("material: brass", "material: bras", 7, "did you mean 'brass'"),
         ("- {node: 3, mass: 2 kg", "- {node: 9, mass: 2 kg", 1, "nodes 1 to 5"),
         ("mass: 2 kg, polar", "polar", 9, "one of mass and outer_diameter"),
+        # I_p <= 2 I_t of every body, equal for a thin disc.
+        ("inertia: 0.002", "inertia: 0.001", 9, "polar_inertia is more than twice transverse_inertia"),
         ("length: 10 mm, material: aluminium", "material: aluminium", 10, "needs its length"),
         ("mass: 2 kg", "mass: 2 kg, length: 9 mm", 9, "'length' changes nothing of a disc given by its mass"),
         ("outer_diameter: 60", "polar_inertia: 1 kg.m^2, outer_diameter: 60", 10, "'polar_inertia' changes"),
