@@ -53,7 +53,7 @@ def test_amplitudes_are_those_of_the_unbalance_on_the_loop(
 @pytest.mark.usefixtures("undrawn")
 def test_an_orbit_beyond_the_limit_is_told_with_its_speed(command: list[object], labpipe) -> None:
     ended = labpipe(*command, "--gap", "100 um", "--limit", "15 %")
-    assert ended.code == 0 and "front" in ended.out and "beyond 15 % from" in ended.out, ended
+    assert ended.code == 0 and "front" in ended.out and "beyond 15 % at speeds from" in ended.out, ended
 
 
 @pytest.mark.parametrize(
