@@ -311,15 +311,18 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
     differences, chances = np.empty(values.size), np.empty(values.size)
-    whole = np.diag(errors**2) if errors.ndim == 1 else errors
     for n in range(values.size):
         others = np.arange(values.size) != n
-        covariance = whole[np.ix_(others, others)]
-        rest = weighted_mean(values[others], covariance)
-        # The weights of the values in their generalised least-squares mean.
-        weights = np.linalg.solve(covariance, np.ones(values.size - 1))
-        shared = float(weights @ whole[others, n] / weights.sum())
-        variance = whole[n, n] + rest.std_error(0) ** 2 - 2 * shared
+        if errors.ndim == 1:
+            rest = weighted_mean(values[others], errors[others])
+            variance = errors[n] ** 2 + rest.std_error(0) ** 2
+        else:
+            covariance = errors[np.ix_(others, others)]
+            rest = weighted_mean(values[others], covariance)
+            # The weights of the values in their generalised least-squares mean.
+            weights = np.linalg.solve(covariance, np.ones(values.size - 1))
+            shared = float(weights @ errors[others, n] / weights.sum())
+            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * shared
         differences[n] = values[n] - rest.values[0]
         chances[n] = 2 * distributions.normal_tail(abs(differences[n]) / np.sqrt(variance))
     return differences, chances

@@ -194,7 +194,7 @@ class ExpectedWear:
 
     def at(self, speed: float, node: int, load: float) -> ExpectedWear:
         """At another speed [Hz] and with another vertical static force [N] at a node, positive up."""
-        others = ((at, y, 0.0 if at == node else z) for at, y, z in self.rig.loads)
+        others = ((at, y, 0.0 if at == node else z) for at, y, z in self.rig.loads if at != node or y)
         return replace(self, rig=replace(self.rig, speed=speed, loads=(*others, (node, 0.0, load))))
 
     def receptance_and_slopes(
