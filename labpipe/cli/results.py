@@ -207,10 +207,10 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     errors alone, corrected for the number of parameters (Holm).
     """
     pairs = catalogue_search.differences(_parameters(first), _parameters(second))
-    known = dict.fromkeys(pair.parameter for pair in pairs)
-    if unknown := [name for name in parameter if name not in known]:
+    in_both = dict.fromkeys(pair.parameter for pair in pairs)
+    if unknown := [name for name in parameter if name not in in_both]:
         raise ConfigError(
-            f"--parameter: '{unknown[0]}' is not in both results", hint=nearest(unknown[0], known)
+            f"--parameter: '{unknown[0]}' is not in both results", hint=nearest(unknown[0], in_both)
         )
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:

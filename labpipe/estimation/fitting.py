@@ -305,20 +305,20 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(_with_cause(fit, judgement, *late), fitted, model, estimate.values)
+    return _BandFit(_with_delay_as_cause(fit, judgement, *late), fitted, model, estimate.values)
 
 
-def _with_cause(fit: Fit, judgement: Judgement, late: str = "") -> Fit:
+def _with_delay_as_cause(fit: Fit, judgement: Judgement, late: str = "") -> Fit:
     """The fit whose model error is the delay of the channel that is *late*, which explains the residual."""
     error = judgement.model_error
     if not late or error is None:
         return fit
-    is_delay = f"delay of {late}"
+    cause = f"delay of {late}"
     return replace(
         fit,
-        parameters=tuple(replace(p, reason=is_delay) if p.reason else p for p in fit.parameters),
+        parameters=tuple(replace(p, reason=cause) if p.reason else p for p in fit.parameters),
         findings=tuple(
-            replace(f, message=f.message.replace(f"likely {error.reason}", f"likely a {is_delay}"))
+            replace(f, message=f.message.replace(f"likely {error.reason}", f"likely a {cause}"))
             for f in fit.findings
         ),
     )
@@ -461,7 +461,7 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _asks(case: Case) -> DynamicModel | None:
+def _model_to_question(case: Case) -> DynamicModel | None:
     """The model where a delay or another mass is asked for: one linear in its parameters, responses of
     reliable phase to a force, a mass without uncertainty.
     """
@@ -473,7 +473,7 @@ def _asks(case: Case) -> DynamicModel | None:
 
 def _late_channel(case: Case) -> dict[str, Finding]:
     """The channel whose delay explains the residual, with the finding."""
-    model, chance = _asks(case), case.estimate.gof.chi2_p
+    model, chance = _model_to_question(case), case.estimate.gof.chi2_p
     if model is None or chance is None or chance >= diagnostics.MISMATCH_P:
         return {}
     return causes.delay_findings(case.measured, model, case.estimate.values)
@@ -481,7 +481,7 @@ def _late_channel(case: Case) -> dict[str, Finding]:
 
 def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
     """A mass without uncertainty against a free one; a channel that is late makes any mass look wrong."""
-    if (model := _asks(case)) is None:
+    if (model := _model_to_question(case)) is None:
         return []
     return causes.mass_findings(case.measured, model, case.estimate.values, case.setup, judged.stated)
 

@@ -89,7 +89,6 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(by_slopes, by_shares))
 
 
-STRUCTURE_P = 0.01
 # Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.
 DRAWS, FEWEST_DRAWS = 1999, 599
 # Complex values in all draws together, and beyond which there is no test.
