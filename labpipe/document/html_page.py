@@ -25,6 +25,8 @@ SCRIPTS = ("scale.js", "panel.js", "reading.js", "zoom.js", "choose.js", "figure
 # Many sections need a way to them; few do not.
 LEAST_LISTED = 4
 LONG_FRACTION = re.compile(r"(\.\d\d)\d+")
+# Bytes of lines beyond which a drawing is of dots: half a megabyte is what these take in print resolution.
+MOST_LINES = 500_000
 # Rows of a table beyond which it is folded.
 LONG_TABLE = 30
 
@@ -100,14 +102,15 @@ def live_json(graphic: Graphic) -> tuple[str, str] | None:
 
 
 def drawing_source(drawing: Drawing) -> str:
-    """A drawing as the source of an image inside the page: lines, or dots where these are shorter."""
+    """A drawing as the source of an image inside the page: lines, or dots where these are too many."""
     # Matplotlib, which takes its time to load, is for drawings alone.
     from labpipe.document.charts import canvas_of, png_bytes, svg_text
 
     canvas = canvas_of(drawing)
     # A hundredth of a point is less than a screen shows.
-    kinds = {"svg+xml": LONG_FRACTION.sub(r"\1", svg_text(canvas)).encode(), "png": png_bytes(canvas)}
-    kind, content = min(kinds.items(), key=lambda entry: len(entry[1]))
+    kind, content = "svg+xml", LONG_FRACTION.sub(r"\1", svg_text(canvas)).encode()
+    if len(content) > MOST_LINES:
+        kind, content = "png", png_bytes(canvas)
     return f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 

@@ -254,20 +254,24 @@ def _squares(left: ComplexArray) -> FloatArray:
 
 
 def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexArray:
-    """The poles (n_pole,) [rad/s] common to *data* (n_line, n) of least 2 n_line sum ln(squares)."""
+    """The poles (n_pole,) [rad/s] common to *data* (n_line, n) of least 2 n_line mean ln(squares)."""
     unit = float(np.median(-start.real))
 
     def poles(moves: FloatArray) -> ComplexArray:
         decay, frequency = moves.reshape(2, -1)
         return np.asarray(start.real * np.exp(decay) + 1j * (start.imag + unit * frequency))
 
-    def cost(moves: FloatArray) -> float:
-        return float(np.sum(np.log(_squares(_solve(s, data, poles(moves))[1])))) * 2 * s.size / data.shape[1]
+    def cost(moves: FloatArray) -> tuple[float, FloatArray]:
+        """With its slopes: what is left is orthogonal to the columns, so amounts need not move with poles."""
+        now = poles(moves)
+        amounts, left = _solve(s, data, now)
+        squares = _squares(left)
+        turned = np.einsum("lp,ln,pn,n->p", (s[:, None] - now) ** -2, left.conj(), amounts, 1 / squares)
+        slopes = -2 * np.concatenate([(turned * now.real).real, (1j * unit * turned).real])
+        scale = 2 * s.size / data.shape[1]
+        return scale * float(np.sum(np.log(squares))), scale * slopes
 
-    steps = np.vstack([np.zeros(2 * start.size), 0.3 * np.eye(2 * start.size)])
-    best = scipy.optimize.minimize(
-        cost, steps[0], method="Nelder-Mead", options={"initial_simplex": steps, "xatol": 1e-4, "fatol": 1e-3}
-    )
+    best = scipy.optimize.minimize(cost, np.zeros(2 * start.size), jac=True, method="L-BFGS-B")
     return poles(best.x)
 
 
