@@ -42,11 +42,12 @@ def arguments_of(path: Path) -> list[str]:
     words = (path.parent.name, path.name.partition("-")[0])
     command = next((COMMANDS[word] for word in words if word in COMMANDS), "run")
     more = {
-        "run": ["-o", "out", "--set", "report.formats=[]"],
-        "simulate": ["-o", "out"],
-        "plan": ["-o", "out"],
+        "run": ["-q", "-o", "out", "--set", "report.formats=[]"],
+        "simulate": ["-q", "-o", "out"],
+        "plan": ["-q", "-o", "out"],
+        "bearing": ["-q"],
     }
-    return [command, str(path), "-q", *more.get(command, [])]
+    return [command, str(path), *more.get(command, [])]
 
 
 def files_of(path: Path) -> list[Path]:
@@ -121,7 +122,8 @@ def main() -> int:
         for path in (folder / file.relative_to(ROOT) for file in arguments.files):
             # As it is, in this process: what it needs is imported once.
             with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-                run_command(arguments_of(path))
+                code = run_command(arguments_of(path))
+            assert code in (0, 1), (path, code)
             shutil.rmtree("out", ignore_errors=True)
             for file in (one for one in files_of(path) if one not in seen):
                 seen.add(file)
