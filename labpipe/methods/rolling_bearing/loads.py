@@ -219,22 +219,6 @@ def _square(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     return np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
 
 
-def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """Loads (Fx, Fy, Fz [N], Mx, My [N m]) on the inner ring at displacements *q* (n_case, 5) [m, rad]."""
-    displacement = np.atleast_2d(np.asarray(q, np.float64))
-    frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
-    return load_sum(contacts(bearing, displacement, frame), frame)
-
-
-def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad],
-    symmetric.
-    """
-    displacement = np.atleast_2d(np.asarray(q, np.float64))
-    frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
-    return stiffness_sum(contacts(bearing, displacement, frame), frame)
-
-
 @dataclass(frozen=True)
 class RigidShaft:
     """A rigid shaft: mass m [kg], moments of inertia about x and y [kg m^2]."""

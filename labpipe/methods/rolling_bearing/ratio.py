@@ -28,12 +28,21 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
-from labpipe.uncertainty.amounts import chance, change_in, common_changes, from_log, matrix_of, with_error
+from labpipe.uncertainty.amounts import (
+    chance,
+    change_in,
+    common_changes,
+    from_log,
+    matrix_of,
+    random_error,
+    with_error,
+)
 from labpipe.uncertainty.compare import OF_TESTS, Evidence
 from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
 from labpipe.uncertainty.weighted import WeightedFit, weighted_fit, weighted_mean
 
+COEFFICIENTS = ("k", "c")
 TILTS = (3, 4)
 STEP = 1e-4
 TOLERANCE = 1e-8
@@ -105,13 +114,12 @@ def match(
 
     def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
         beta = float(np.exp(log[1]))
-        matrix = _theory_curve(
-            curve, theory.shaft, (float(np.exp(log[0])) * stiffness), beta, shaft_stiffness
-        )[:, None, None]
+        scaled = float(np.exp(log[0])) * stiffness
+        matrix = _theory_curve(curve, theory.shaft, scaled, beta, shaft_stiffness)[:, None, None]
         (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
-        return np.log([_positive(fit, "k"), _positive(fit, "c")])
+        return np.log([_positive(fit, name) for name in COEFFICIENTS])
 
-    measured = np.log([_positive(fit, "k"), _positive(fit, "c")])
+    measured = np.log([_positive(fit, name) for name in COEFFICIENTS])
     start = np.array([0.0, measured[1] - measured[0]])
     log, slopes = _solve(lambda u: fitted(u, theory.stiffness, bending), measured, start)
     inverse = np.linalg.inv(slopes)
@@ -124,7 +132,8 @@ def match(
     to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
     theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
     covariance = inverse @ log_covariance(fit) @ inverse.T
-    to_sources = {source: inverse @ change for source, change in _log_changes(fit).items()}
+    sources = () if fit.budget is None else fit.budget.sources
+    to_sources = {of.source: inverse @ _log_change(fit, of.source) for of in sources}
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
@@ -146,8 +155,15 @@ def _solve(
     raise FitError("no multiple of the theory's stiffness gives the measured fit", hint=hint)
 
 
+def _coefficient(fit: Fit, name: str) -> Parameter:
+    found = next((parameter for parameter in fit.parameters if parameter.name == name), None)
+    if found is None:
+        raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
+    return found
+
+
 def _positive(fit: Fit, name: str) -> float:
-    value = fit.parameter(name).value
+    value = _coefficient(fit, name).value
     if not value > 0:
         whose = f"of test {fit.test}" if fit.test else "of the theory's own curve"
         hint = "" if fit.test else "its resonance lies outside the band of the fit"
@@ -155,29 +171,24 @@ def _positive(fit: Fit, name: str) -> float:
     return value
 
 
-def _log_changes(fit: Fit) -> dict[str, FloatArray]:
-    if fit.budget is None:
-        return {}
-    names = ("k", "c")
-    return {
-        source.source: np.array(
-            [change_in(fit, source.source, name) / fit.parameter(name).value for name in names]
-        )
-        for source in fit.budget.sources
-    }
+def _log_change(fit: Fit, source: str) -> FloatArray:
+    """Change of ln k and ln c, (2,), by one standard uncertainty of a source."""
+    return np.array([change_in(fit, source, name) / fit.parameter(name).value for name in COEFFICIENTS])
 
 
 def log_covariance(fit: Fit) -> FloatArray:
-    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation. FitError
-    without standard errors.
+    """Covariance of ln k and ln c, (2, 2) [1], from the errors of this test alone and the fit's correlation.
+    FitError without standard errors.
     """
-    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
-    places = [names.index("k"), names.index("c")]
-    chosen = [fit.parameters[place] for place in places]
-    errors = [parameter.std_error for parameter in chosen if parameter.std_error is not None]
-    if len(errors) < len(chosen):
-        raise FitError(f"k or c of test {fit.test} has no standard error")
-    relative = np.array(errors) / [parameter.value for parameter in chosen]
+    chosen = [_coefficient(fit, name) for name in COEFFICIENTS]
+    relative = []
+    for parameter in chosen:
+        error = random_error(fit, parameter)
+        if error is None or parameter.derived:
+            raise FitError(f"{parameter.name} of test {fit.test} has no standard error of its own")
+        relative.append(error / parameter.value)
+    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
+    places = [estimated.index(parameter) for parameter in chosen]
     return fit.correlation[np.ix_(places, places)] * np.outer(relative, relative)
 
 
@@ -381,15 +392,8 @@ def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
     covariances = [log_covariance(fit) for fit in fits]
     logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
     variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
-    common = common_changes(fits, _log_beta_change)
+    common = common_changes(fits, lambda fit, source: float(np.diff(_log_change(fit, source))[0]))
     return logs, variances + common.T @ common
-
-
-def _log_beta_change(fit: Fit, source: str) -> float:
-    return (
-        change_in(fit, source, "c") / fit.parameter("c").value
-        - change_in(fit, source, "k") / fit.parameter("k").value
-    )
 
 
 # The condition is raised by this share for the slope of the theory.

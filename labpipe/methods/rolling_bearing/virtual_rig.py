@@ -108,6 +108,8 @@ class VirtualBallBearingRig(Settings):
         self.require_positive("stiffness_ratio", "arm", "string_factor", "strip_factor")
         self.require_positive("mountings", "repeats")
         self.require_not_negative("damping_factor")
+        if self.hysteresis <= -1:
+            raise SettingError("hysteresis", "'hysteresis' takes all stiffness away", "above -100 %")
         if self.angular is not None and self.angular.name == self.deep_groove.name:
             raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
 

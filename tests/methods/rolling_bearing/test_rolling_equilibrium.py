@@ -10,7 +10,8 @@ from scipy import optimize
 
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.equilibrium import Problem, equilibrium, load_vector, solve
-from labpipe.methods.rolling_bearing.loads import DOFS, ElementFrame, RollingBearing, bearing_loads
+from labpipe.methods.rolling_bearing.loads import DOFS, ElementFrame, RollingBearing
+from tests.methods.rolling_bearing.displaced_rings import bearing_loads
 
 HELD_TILT = ("bx", "by")
 
