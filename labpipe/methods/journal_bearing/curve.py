@@ -84,12 +84,10 @@ class JournalCurve:
     def _place(self, sommerfeld: FloatArray) -> FloatArray:
         number = np.asarray(sommerfeld, np.float64)
         if not np.all((number >= LOWEST_SOMMERFELD) & (number <= HIGHEST_SOMMERFELD)):
-            raise FitError(
-                f"a Sommerfeld number of {float(np.max(number)):.3g} (lowest {float(np.min(number)):.3g}) "
-                "lies outside the bearing's table",
-                hint=f"from {LOWEST_SOMMERFELD:g} to {HIGHEST_SOMMERFELD:g}; check viscosity, clearance and "
-                "load",
-            )
+            what = f"a Sommerfeld number of {np.max(number):.3g} (lowest {np.min(number):.3g}) lies outside"
+            ends = f"from {LOWEST_SOMMERFELD:g} to {HIGHEST_SOMMERFELD:g}"
+            hint = f"{ends}; check viscosity, clearance and load"
+            raise FitError(f"{what} the bearing's table", hint=hint)
         return np.log(number)
 
 
@@ -97,14 +95,7 @@ def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArr
     """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per
     second.
     """
-    scale = (
-        bearing.viscosity
-        * bearing.length
-        * bearing.diameter
-        * (bearing.diameter / (2 * bearing.clearance)) ** 2
-        / (2 * np.pi)
-    )
-    return np.asarray(scale * np.asarray(speed) / np.asarray(load))
+    return np.asarray(bearing.force_scale(1.0) / (6 * np.pi) * np.asarray(speed) / np.asarray(load))
 
 
 @lru_cache(maxsize=8)
@@ -116,10 +107,8 @@ def journal_curve(
     """
     half = mesh.halved()
     if half is None:
-        raise ConfigError(
-            f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve",
-            hint="give 24 x 8 cells or more",
-        )
+        what = f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve"
+        raise ConfigError(what, hint="give 48 x 8 cells or more")
     bearing = JournalBearing(
         diameter=1.0, length=length_over_diameter, clearance=1e-3, viscosity=1.0, groove_width=groove_width
     )
@@ -136,12 +125,8 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
         weight = bearing.force_scale(1.0) / (6 * np.pi * float(np.exp(place)))
         near = journal_equilibrium(bearing, (0.0, -weight), 1.0, mesh, near)
         scale = near.bearing.clearance / weight
-        turned = (
-            TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (near.stiffness, near.damping)
-        )
-        rows.append(
-            np.concatenate([*(matrix.ravel() for matrix in turned), [near.eccentricity_ratio, near.attitude]])
-        )
+        turned = TO_LOAD_FRAME @ np.stack([near.stiffness, near.damping]) @ TO_LOAD_FRAME.T * scale
+        rows.append([*turned.ravel(), near.eccentricity_ratio, near.attitude])
     return np.array(rows[::-1])
 
 
@@ -174,9 +159,8 @@ class TableRange:
 
     def __post_init__(self) -> None:
         if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
-            raise ConfigError(
-                "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
-            )
+            what = "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
+            raise ConfigError(what)
         if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
             raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
         if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
@@ -238,10 +222,8 @@ class JournalTable:
     def _inside(self, point: FloatArray) -> FloatArray:
         slack = 1e-9 * (1 + np.abs(self.high))
         for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
-            raise FitError(
-                f"the {AXES[axis]} lies outside the table of bearing coefficients",
-                hint="make the table wider",
-            )
+            what = f"the {AXES[axis]} lies outside the table of bearing coefficients"
+            raise FitError(what, hint="make the table wider")
         return np.clip(point, self.low, self.high)[None, list(self.active)]
 
 
@@ -278,15 +260,12 @@ def journal_table(
     centre = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
     half = np.log(ranges.sommerfeld_factor)
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
+    worn, low = ranges.depth > 0, ranges.cavitation_pressure / mean_pressure
     nodes = (
-        np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
-        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle)
-        if ranges.depth > 0
-        else np.array([bearing.wear_angle]),
+        np.linspace(0, deepest, ranges.n_depth if worn else 1),
+        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle) if worn else np.array([bearing.wear_angle]),
         np.linspace(centre - half, centre + half, ranges.n_sommerfeld) if half > 0 else np.array([centre]),
-        np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation)
-        if ranges.cavitation_pressure
-        else np.zeros(1),
+        np.linspace(low, 0, ranges.n_cavitation if low else 1),
     )
     sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
     return _fit(bearing, load, nodes, np.array([_sheet(sheet) for sheet in sheets]))
@@ -367,11 +346,5 @@ def _fit(
         along = scipy.interpolate.make_interp_spline(place, np.moveaxis(values, number, 0), degree)
         knots.append(along.t)
         values = np.moveaxis(along.c, 0, number)
-    return JournalTable(
-        bearing,
-        load,
-        active,
-        low,
-        high,
-        scipy.interpolate.NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees),
-    )
+    spline = scipy.interpolate.NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees)
+    return JournalTable(bearing, load, active, low, high, spline)

@@ -63,10 +63,9 @@ class FilmMesh:
 
     def __post_init__(self) -> None:
         if self.around < FEWEST_AROUND or self.across < FEWEST_ACROSS or self.around % 2 or self.across % 2:
-            raise ConfigError(
-                f"an oil film of {self.around} x {self.across} cells cannot be solved",
-                hint=f"give even numbers, at least {FEWEST_AROUND} around and {FEWEST_ACROSS} across",
-            )
+            what = f"an oil film of {self.around} x {self.across} cells cannot be solved"
+            hint = f"give even numbers, at least {FEWEST_AROUND} around and {FEWEST_ACROSS} across"
+            raise ConfigError(what, hint=hint)
 
     @property
     def arc(self) -> float:
@@ -173,11 +172,8 @@ class Film:
     @cached_property
     def worn(self) -> tuple[FloatArray, FloatArray]:
         """Added thickness at cell centres and faces, (n_theta,) each [-]."""
-        centre, face = (
-            mean_worn_depth(theta, self.depth, self.angle, self.mesh.arc)
-            for theta in (self.grid.centre, self.grid.face)
-        )
-        return centre, face
+        at = self.depth, self.angle, self.mesh.arc
+        return mean_worn_depth(self.grid.centre, *at), mean_worn_depth(self.grid.face, *at)
 
     @cached_property
     def grooves(self) -> tuple[BoolArray, FloatArray]:
@@ -249,9 +245,8 @@ def film_equations(
     by_width = by_width / slope
     by_displacement = np.empty((2, *pressure.shape))
     for axis in range(2):
-        by_displacement[axis] = _out((3 * grid.at_face[axis] / face)[:, None] * flow) + thicker[
-            axis, :, None
-        ] * (leak - surplus)
+        by_flow = _out((3 * grid.at_face[axis] / face)[:, None] * flow)
+        by_displacement[axis] = by_flow + thicker[axis, :, None] * (leak - surplus)
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
     diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
     if film.groove > 0:
@@ -340,9 +335,8 @@ def factorise(equations: FilmEquations, curvature: FloatArray, room: FloatArray)
 
     factors, info = lapack.dpbtrf(band.reshape(-1, band.shape[2]).T, lower=1, overwrite_ab=1)
     if info != 0:
-        raise FitError(
-            "the equations of the oil film are singular", hint="check load, speed, viscosity and clearance"
-        )
+        hint = "check load, speed, viscosity and clearance"
+        raise FitError("the equations of the oil film are singular", hint=hint)
     return FactoredFilm(columns, factors, diagonal)
 
 
