@@ -118,6 +118,16 @@ def journal_curve(
     return JournalCurve(length_over_diameter, groove_width, spline, spline.derivative())
 
 
+def curve_of(bearing: JournalBearing) -> JournalCurve:
+    """The curve of a *bearing*. ConfigError where it is worn or tears below ambient pressure: coefficients
+    then depend on more than the Sommerfeld number.
+    """
+    if bearing.wear_depth or bearing.cavitation_pressure:
+        what = "a worn oil film, or one that tears below ambient, has no curve over its Sommerfeld number"
+        raise ConfigError(what, hint="leave 'wear' and 'cavitation_pressure' out")
+    return journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
+
+
 def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatArray:
     rows = []
     near: JournalEquilibrium | None = None
