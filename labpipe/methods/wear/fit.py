@@ -55,17 +55,12 @@ def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
     return tuple(name for name, hit in zip(model.names, at, strict=True) if hit)
 
 
-def bound_findings(names: Sequence[str]) -> list[Finding]:
-    findings = []
-    for name in names:
-        reason = {
-            DEPTH: "no wear is visible, or it is deeper than depth_limit",
-            ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
-        }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
-        findings.append(
-            Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
-        )
-    return findings
+def bound_finding(name: str) -> Finding:
+    reason = {
+        DEPTH: "no wear is visible, or it is deeper than depth_limit",
+        ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
+    }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
+    return Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
 
 
 def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
@@ -88,17 +83,10 @@ def _place(misfit: Misfit, minimum: Minimum) -> str:
     return f"{values[DEPTH] * 1e6:.3g} um at {np.degrees(values[ANGLE]):.3g} deg"
 
 
-def angle_findings(identifiable: bool) -> list[Finding]:
-    if identifiable:
-        return []
-    message = (
-        "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear"
-    )
-    return [Finding("not-identifiable", message)]
-
-
-def is_identifiable(interval: Interval) -> bool:
-    return not (interval.open_low and interval.open_high)
+NO_ANGLE = Finding(
+    "not-identifiable",
+    "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear",
+)
 
 
 def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
@@ -106,12 +94,10 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
     if probability < PROBABLY_WORN:
         return []
     odds = f"the probability of no wear is {probability:.3g} (prior: even odds, wear uniform over the range)"
-    if mismatch:
-        message = f"the bearing may be healthy: {odds}, given a right model, which chi-square rejects"
-        return [Finding("perhaps-healthy", message)]
-    if probability >= PROBABLY_HEALTHY:
+    if probability >= PROBABLY_HEALTHY and not mismatch:
         return [Finding("healthy", f"the bearing is probably healthy: {odds}")]
-    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}")]
+    doubt = ", given a right model, which chi-square rejects" if mismatch else ""
+    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}{doubt}")]
 
 
 def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
@@ -302,7 +288,7 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     misfit, best = solved.misfit, solved.best
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
-    identifiable = ANGLE not in intervals or is_identifiable(intervals[ANGLE])
+    identifiable = not (ANGLE in intervals and intervals[ANGLE].open_low and intervals[ANGLE].open_high)
     factors = dict(
         zip(_sensitive_parameters(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False)
     )
@@ -311,7 +297,7 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
         for number, name in enumerate(misfit.model.names)
     ]
     findings = [
-        *bound_findings([name for name in at if identifiable or name != ANGLE]),
+        *(bound_finding(name) for name in at if identifiable or name != ANGLE),
         *rival_findings(solved.minima, misfit),
     ]
     if solved.healthy_chi2 is None:
@@ -319,21 +305,19 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     probability = healthy_probability(misfit, best, solved.healthy_chi2)
     plain.append(Parameter("healthy_probability", probability, "1", derived=True))
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < diagnostics.MISMATCH_P
-    return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
+    findings += [] if identifiable else [NO_ANGLE]
+    return tuple(plain), [*findings, *healthy_findings(probability, mismatch)]
 
 
 def _intervals(solved: _Solved) -> dict[str, Interval]:
     model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
-    noise, film = (
-        np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance)
-    )
+    noise, reach = np.sqrt(np.diag(solved.noise_covariance)), limit * np.sqrt(np.diag(solved.film_covariance))
     intervals = {}
     for number, name in enumerate(model.names):
         if name in (DEPTH, ANGLE):
             interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
-            intervals[name] = widen(
-                interval, parameters[number], limit * film[number], model.low[number], model.high[number]
-            )
+            bounds = model.low[number], model.high[number]
+            intervals[name] = widen(interval, parameters[number], reach[number], *bounds)
     return intervals
 
 
@@ -361,11 +345,8 @@ def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list
         *diagnostics.estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
         *diagnostics.excess_findings(estimate, biased),
     ]
-    group = {
-        name
-        for collinear in (diagnostics.collinear_groups(estimate.scaled_design, names) if names else [])
-        for name in collinear
-    }
+    groups = diagnostics.collinear_groups(estimate.scaled_design, names) if names else []
+    group = {name for collinear in groups for name in collinear}
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
     return [finding for finding in findings if finding.code != "collinear" or not along]
 
@@ -380,19 +361,14 @@ def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
 
 
 def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
-    model = solved.misfit.model
-    if (
-        DEPTH not in model.names
-        or next(parameter for parameter in parameters if parameter.name == ANGLE).ci95 is None
-    ):
+    model, both = solved.misfit.model, slice(2)
+    if DEPTH not in model.names or any(p.name == ANGLE and p.ci95 is None for p in parameters):
         return ()
     outline = joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
-    wide = widened_region(
-        outline, solved.best.parameters[:2], solved.noise_covariance[:2, :2], solved.film_covariance[:2, :2]
-    )
-    return (
-        Region((DEPTH, ANGLE), np.clip(wide, model.low[:2], model.high[:2]) * model.scale[:2], REGION_LEVEL),
-    )
+    noise, film = solved.noise_covariance[both, both], solved.film_covariance[both, both]
+    wide = widened_region(outline, solved.best.parameters[both], noise, film)
+    inside = np.clip(wide, model.low[both], model.high[both]) * model.scale[both]
+    return (Region((DEPTH, ANGLE), inside, REGION_LEVEL),)
 
 
 def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:

@@ -238,6 +238,15 @@ def test_priors_that_are_not_there(joint: Fit) -> None:
     assert with_prior(fit_settings(), []) == fit_settings()
 
 
+def test_a_value_beside_the_prior_that_tuned_it_is_refused(joint: Fit) -> None:
+    """The posterior outranked it; what the tuning left alone may be given."""
+    tuned = [replace(joint, name="tuning")]
+    with pytest.raises(ConfigError, match="viscosity: 'tuning' has tuned it"):
+        with_prior(fit_settings(prior="tuning", viscosity=Uncertain(0.1)), tuned)
+    beside = with_prior(fit_settings(prior="tuning", beta=Uncertain(1e-4)), tuned).model_settings
+    assert beside.fixed_values == {"beta": 1e-4} and "viscosity" in beside.nuisance_prior.names
+
+
 def test_a_tuned_parameter_at_its_bound_keeps_some_uncertainty(joint: Fit) -> None:
     parameters = tuple(replace(p, std_error=None) if p.name == "viscosity" else p for p in joint.parameters)
     known = posterior(replace(joint, parameters=parameters))
