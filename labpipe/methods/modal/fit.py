@@ -23,7 +23,13 @@ from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
 from labpipe.methods.modal import model_error
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
-from labpipe.methods.modal.moved import MovedMode, aligned_measured, alignment, with_moved_modes
+from labpipe.methods.modal.moved import (
+    FEWEST_POINTS,
+    MovedMode,
+    aligned_measured,
+    alignment,
+    with_moved_modes,
+)
 from labpipe.methods.modal.poles import (
     Completed,
     Diagram,
@@ -261,6 +267,10 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
     )
+    n_point = len(sides.points)
+    if modal.moving_mass is not None and n_point <= FEWEST_POINTS:
+        what = f"of {n_point} point(s) 'moving_mass' cannot tell the structure without it"
+        raise SettingError("moving_mass", what, f"measure more than {FEWEST_POINTS}")
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
     diagram, start = _first_modes(sides.lines, modal)
@@ -311,9 +321,13 @@ def _at_mean_poles(
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     is_hysteretic = settings.damping != VISCOUS
-    if is_hysteretic and modal.shapes == "real":
-        what = f"'shapes: real' cannot be combined with {settings.damping} damping"
-        raise SettingError("shapes", what, "leave one of `shapes` and `damping` out")
+    for key, written, given in (
+        ("shapes", "shapes: real", modal.shapes == "real"),
+        ("moving_mass", "moving_mass", modal.moving_mass is not None),
+    ):
+        if is_hysteretic and given:
+            what = f"'{written}' cannot be combined with {settings.damping} damping"
+            raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
     return is_hysteretic
 
 

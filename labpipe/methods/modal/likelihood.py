@@ -45,6 +45,11 @@ class Lines:
         return 1j * self.omega
 
     @property
+    def spacing(self) -> float:
+        """Distance of neighbouring lines [rad/s], whatever a band or a mask leaves out between others."""
+        return float(np.median(np.diff(self.omega)))
+
+    @property
     def n_element(self) -> int:
         return self.matrix.shape[1] * self.matrix.shape[2]
 

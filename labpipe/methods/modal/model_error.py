@@ -362,7 +362,7 @@ def with_model_errors(
         elif number in errors:
             stated += errors[number].stated([parameter])
         elif estimate.chi2_reduced is None:
-            alike = -2 * pole.real / (2 * np.pi) / float(np.mean(np.diff(lines)))
+            alike = -2 * pole.real / (2 * np.pi) / float(np.median(np.diff(lines)))
             stated.append(replace(widen(parameter, float(np.sqrt(max(alike, 1.0)))), reason=FEW))
         else:
             stated.append(parameter)
@@ -521,19 +521,20 @@ def narrow_modes(refined: Refined, lines: Lines) -> dict[int, float]:
     """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
     number in ascending frequency.
     """
-    widths = (-2 * refined.poles.real / float(np.mean(np.diff(lines.omega))))[_ascending(refined)]
+    widths = (-2 * refined.poles.real / lines.spacing)[_ascending(refined)]
     return {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
 
 
 def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
     Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
-    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977).
+    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so masses, are areas,
+    which a window leaves; c = 2 zeta w_n m follows zeta.
     """
     left = {
         f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
         for number, width in narrow.items()
-        for name in ("zeta", "eta")
+        for name in ("zeta", "eta", "c")
     }
     parameters = tuple(
         replace(parameter, ci95=(left[parameter.name] * parameter.ci95[0], parameter.ci95[1]), reason=WINDOW)

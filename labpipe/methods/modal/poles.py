@@ -102,7 +102,12 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
     of_h = _both_lags(lags, scaled.reshape(n_line, -1)).reshape(2 * highest + 1, *matrix.shape[1:])
     of_g = _both_lags(lags, gram).reshape(2 * highest + 1, n_input, n_input)
     difference = np.arange(highest + 1)[None, :] - np.arange(highest + 1)[:, None]
-    factor = np.linalg.cholesky(of_z[np.abs(difference)])
+    gram_of_z = of_z[np.abs(difference)]
+    try:
+        factor = np.linalg.cholesky(gram_of_z)
+    except np.linalg.LinAlgError:
+        # Lines with a gap cover too little of the circle to tell high powers of z apart.
+        factor = np.linalg.cholesky(gram_of_z + ROUNDING * n_line * highest * np.eye(highest + 1))
     right = -of_h[difference + highest].transpose(0, 2, 1, 3).reshape(highest + 1, -1)
     rows = np.linalg.solve(factor, right).reshape(highest + 1, -1, (highest + 1) * n_input)
     total = of_g[difference + highest].transpose(0, 2, 1, 3).reshape((highest + 1) * n_input, -1)
@@ -464,9 +469,9 @@ def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, Boo
     that stand out of the noise, (n_mode,) each.
     """
     frequency, decay = np.abs(refined.poles), -refined.poles.real
-    low, high, spacing = lines.omega[0], lines.omega[-1], float(np.mean(np.diff(lines.omega)))
+    low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)
-    seen = (shape_p(refined) < SEEN_P) & (decay > SHARPEST * spacing)
+    seen = (shape_p(refined) < SEEN_P) & (decay > SHARPEST * lines.spacing)
     return inside, 2 * decay < BROADEST * (high - low), seen
 
 
@@ -513,10 +518,10 @@ def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Complete
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
     refined = done.refined
     residual = remaining(lines, done.terms, refined)
-    spacing = float(np.mean(np.diff(lines.omega)))
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
-    kernel = np.ones(max(round(2 * decay / spacing), 1))
+    n_wide = round(2 * decay / lines.spacing)
+    kernel = np.ones(max(n_wide, 1))
     summed = np.stack([np.convolve(column, kernel, mode="same") for column in scaled.T])
     line = int(np.argmax(np.sum(np.abs(summed) ** 2, axis=0)))
     near = int(np.argmin(np.abs(refined.poles.imag - lines.omega[line])))
@@ -524,7 +529,7 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     if abs(pole - refined.poles[near]) < decay / 2:
         # On top of a mode: the two begin on either side of the place.
         pole += 1j * decay
-    width = max(3, round(2 * decay / spacing))
+    width = max(3, n_wide)
     part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
     participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
     poles = np.append(refined.poles, pole)
