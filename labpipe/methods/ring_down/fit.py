@@ -11,14 +11,17 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
+from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.estimation.statistics import correlation, derive, estimated, student_limit
+from labpipe.estimation.statistics import correlation, derive, estimated, restated, student_limit
 from labpipe.methods.ring_down import amplitude_law, likelihood
 from labpipe.methods.ring_down.repeats import (
+    POWERS,
     RepeatedDecays,
     drift_findings,
+    powers_of,
     repeat_notes,
     repeated_decays,
     with_repeats,
@@ -129,9 +132,7 @@ def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Par
             derived.append(("c" + end, "N.s/m", -2 * mass * pole.real, np.array([-2 * mass, 0.0])))
         for name, unit, value, gradient in derived:
             parameters.append(derive(name, unit, float(value), _error(gradient, block), fitted.dof))
-    if not fitted.converged:
-        return tuple(without_interval(parameter) for parameter in parameters)
-    return tuple(parameters)
+    return tuple(parameters) if fitted.converged else without_intervals(parameters)
 
 
 def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatArray], ...]:
@@ -144,23 +145,6 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
 
 def _error(gradient: FloatArray, covariance: FloatArray) -> float:
     return float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
-
-
-def without_interval(parameter: Parameter) -> Parameter:
-    """The value alone, where no interval is right."""
-    return replace(
-        parameter,
-        std_error=None,
-        std_error_inflated=None,
-        t_ratio=None,
-        ci95=None,
-        significant=None,
-        interval=None,
-    )
-
-
-# Powers of f and zeta in the quantities of a mode.
-POWERS = {"f_n": (1, 0), "zeta": (0, 1), "log_decrement": (0, 1), "k": (2, 0), "c": (1, 1)}
 
 
 def with_course(
@@ -180,25 +164,18 @@ def with_course(
         mode = int(number) - 1
         spread = amplitude_law.course_spread(curves[mode], complex(fitted.poles[mode]))
         if spread is None or parameter.ci95 is None or parameter.value <= 0:
-            widened.append(without_interval(parameter))
+            widened += without_intervals([parameter])
             continue
-        of_f, of_zeta = POWERS[name]
+        of_f, of_zeta = powers_of(name, -fitted.poles[mode].real / abs(fitted.poles[mode]))
         model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
-        half_width = (
-            float(np.log(parameter.ci95[1] / parameter.ci95[0])) / 2 if parameter.ci95[0] > 0 else np.inf
-        )
+        low, high = parameter.ci95
+        half_width = float(np.log(high / low)) / 2 if low > 0 else np.inf
         reach = float(np.hypot(half_width, student_limit(spread[2]) * model))
+        value, error = parameter.value, parameter.value * reach / student_limit(fitted.dof)
         parts = parameter.interval or IntervalParts(parameter.std_error or 0.0)
-        widened.append(
-            replace(
-                parameter,
-                ci95=(parameter.value * float(np.exp(-reach)), parameter.value * float(np.exp(reach))),
-                interval=replace(parts, discrepancy=parameter.value * model),
-                std_error_inflated=parameter.value * reach / student_limit(fitted.dof),
-                t_ratio=None if parameter.derived else student_limit(fitted.dof) / reach,
-                significant=None if parameter.derived else True,
-            )
-        )
+        ends = value * float(np.exp(-reach)), value * float(np.exp(reach))
+        parts = replace(parts, discrepancy=value * model)
+        widened.append(restated(parameter, value, error, ends, interval=parts))
     return tuple(widened)
 
 

@@ -87,9 +87,11 @@ def long_enough(
     """
     if band is None:
         return decays, ()
-    lines = [_lines_of(decay.samples.shape[0], decays.sample_rate, band).size for decay in decays.decays]
-    kept = [decay for decay, n in zip(decays.decays, lines, strict=True) if n >= LEAST_LINES]
-    short = [decay for decay, n in zip(decays.decays, lines, strict=True) if n < LEAST_LINES]
+    kept: list[FreeDecay] = []
+    short: list[FreeDecay] = []
+    for decay in decays.decays:
+        n_line = _lines_of(decay.samples.shape[0], decays.sample_rate, band).size
+        (short if n_line < LEAST_LINES else kept).append(decay)
     if not kept or not short:
         return decays, ()
     places = ", ".join(f"{decay.start:.3f} s" for decay in short)
@@ -109,16 +111,6 @@ def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -
     powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines.size), SMOOTH_TERMS - 1)
     empty = np.zeros_like(powers)
     return Piece(time, _rows(samples, lines), lines, np.block([[powers, empty], [empty, powers]]))
-
-
-def shorten(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
-    """The first samples of a piece without a band.
-
-    With one the whole piece, whose lines belong to its length.
-    """
-    if band is not None or n_sample >= piece.time.size:
-        return piece
-    return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
 
 
 MOST_STEPS = 60
@@ -237,10 +229,10 @@ def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps
     variance = _variances(solved, poles.size)
     information, _ = _normal_equations(solved, variance)
     covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
-    places = np.stack([order, order + poles.size], axis=1).reshape(-1)
+    columns = np.concatenate([order, order + poles.size])
+    places = columns.reshape(2, -1).T.ravel()
     equations = sum(part.residual.size for part in solved)
     linear = sum(part.range_.shape[1] * part.residual.shape[1] for part in solved)
-    columns = np.concatenate([order, order + poles.size])
     ordered = tuple(
         replace(part, amplitudes=part.amplitudes[order], tangent=part.tangent[:, columns]) for part in solved
     )
@@ -353,7 +345,9 @@ def _follow(
     """
     longest = max(piece.time.size for piece in pieces)
     while band is None and n_sample < longest:
-        poles = maximum_likelihood([shorten(piece, n_sample, band) for piece in pieces], poles).poles
+        first = slice(n_sample)
+        parts = [Piece(of.time[first], of.rows[first], None, of.nuisance[first]) for of in pieces]
+        poles = maximum_likelihood(parts, poles).poles
         n_sample *= 2
     return maximum_likelihood(pieces, poles)
 

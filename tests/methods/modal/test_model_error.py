@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
@@ -80,3 +81,10 @@ def test_no_mode_is_left_without_an_interval() -> None:
         return parameter.ci95 is not None and parameter.ci95[0] <= parameter.value <= parameter.ci95[1]
 
     assert all(stated(parameter) for parameter in fit.parameters)
+
+
+def test_a_value_without_an_interval_has_no_error_left() -> None:
+    """Neither that of noise nor a wider one: an unstable mode of an unexplained residual had the latter."""
+    wide = Parameter("zeta_1", -0.01, "1", std_error=1e-3, ci95=(-0.02, 0.0), std_error_inflated=2e-3)
+    (plain,) = without_intervals([wide])
+    assert plain == Parameter("zeta_1", -0.01, "1") and plain.full_error is None

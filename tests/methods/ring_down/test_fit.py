@@ -314,3 +314,15 @@ def test_no_decay_is_no_record() -> None:
             ("m", "m"),
             (FreeDecay("r", 0.0, np.ones((3, 1))),),
         )
+
+
+def test_a_heavily_damped_decrement_is_less_certain_than_its_damping_ratio() -> None:
+    """delta = 2 pi zeta / sqrt(1 - zeta^2), so that d ln delta = d ln zeta / (1 - zeta^2)."""
+    ratios, time = (0.30, 0.31, 0.29), times(0.4)
+    noise = 1e-4 * np.random.default_rng(4).standard_normal((len(ratios), time.size))
+    pairs = zip(ratios, noise, strict=True)
+    fit = fitted(record([motion(((40.0, zeta, 1.0, 0.3),), time) + part for zeta, part in pairs]))
+    decrement, zeta = fit.parameter("log_decrement_1"), fit.parameter("zeta_1")
+    widths = [np.log(parameter.ci95[1] / parameter.ci95[0]) for parameter in (decrement, zeta)]
+    assert widths[0] / widths[1] == pytest.approx(1 / (1 - zeta.value**2), rel=1e-6)
+    assert decrement.value == pytest.approx(2 * np.pi * zeta.value / np.sqrt(1 - zeta.value**2), rel=1e-9)
