@@ -17,7 +17,6 @@ from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
-from labpipe.methods.modal.poles import damping_ratio
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
@@ -43,9 +42,13 @@ def shape_record(
     shapes = raw / scale
     variance = np.einsum("omm->om", refined.shape_covariance)
     std = np.sqrt(variance[:, 0::2] + variance[:, 1::2])[:, order]
+    of_pole = [function for _, _, function in _of_pole(refined)]
+    rows = [[function(np.array([pole.real, pole.imag])) for function in of_pole] for pole in poles]
+    frequency, damping = np.array(rows).T
     return Modes(
-        np.abs(poles) / (2 * np.pi),
-        damping_ratio(poles),
+        frequency,
+        # A loss factor is twice the damping ratio of the same peak.
+        damping / 2 if refined.hysteretic else damping,
         shapes=shapes,
         shape_std_errors=std / np.abs(scale),
         participation=participation,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import FitError
+from labpipe.errors import ConfigError, FitError
 from labpipe.estimation import diagnostics
 from labpipe.estimation.budget import Source, with_sources
 from labpipe.estimation.derived import drawn_densely, reported_fit
@@ -36,6 +36,7 @@ from labpipe.methods.wear.search import (
     widened_region,
 )
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
+from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -45,6 +46,8 @@ from labpipe.records.response import FrequencyResponse
 # parameters.
 RIVAL = 9.21
 AT_BOUND = 1e-4
+# Share by which the speeds of a test and of its rotor file may differ.
+SAME_SPEED = 0.01
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
 
 
@@ -153,6 +156,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     response cannot support the fit.
     """
     wear: WearSettings = settings.model_settings
+    _check_speed(response, wear)
     measured = worn_receptance(response, settings, wear)
     solved = _solve(measured, wear)
     estimate = _estimate(solved)
@@ -175,6 +179,16 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         details=_region(solved, parameters),
     )
     return with_sources(fit, _sources(solved, measured, wear, len(parameters)))
+
+
+def _check_speed(response: FrequencyResponse, wear: WearSettings) -> None:
+    try:
+        speed, unit = si_amount(response.conditions.get("speed", ""))
+    except UnitError:
+        return
+    if wear.rig is not None and unit == "Hz" and abs(speed - wear.rig.speed) > SAME_SPEED * wear.rig.speed:
+        what = f"the test ran at {speed:g} Hz, the rotor of its fit turns at {wear.rig.speed:g} Hz"
+        raise ConfigError(what, hint="name a rotor file of that speed with wear.rotor")
 
 
 def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
