@@ -286,11 +286,16 @@ class Balanced:
 
     @property
     def permissible(self) -> float | None:
-        """U = G m / Omega [kg m] that the grade permits to remain (ISO 21940-11); None without a grade."""
+        """Unbalance [kg m] that the grade permits to remain; None without a grade."""
         settings = self.file.settings
         if settings.grade is None or settings.mass is None or settings.speed is None:
             return None
-        return settings.grade * settings.mass / (2 * np.pi * settings.speed)
+        return permissible_unbalance(settings.grade, settings.mass, settings.speed)
+
+
+def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
+    """U = G m / Omega [kg m] of a *grade* [m/s], a *mass* [kg] and a service *speed* [Hz] (ISO 21940-11)."""
+    return grade * mass / (2 * np.pi * speed)
 
 
 def balanced(file: BalanceFile) -> Balanced:

@@ -360,11 +360,7 @@ def converged_equilibrium(
     half the cells each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a
     first mesh that cannot be halved. Equation (jour-mesh).
     """
-    half = mesh.halved()
-    if half is None:
-        what = f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve"
-        raise ConfigError(what, hint="start from 48 x 8 cells or more")
-    coarse = journal_equilibrium(bearing, load, speed, half)
+    coarse = journal_equilibrium(bearing, load, speed, mesh.half())
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
         pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))

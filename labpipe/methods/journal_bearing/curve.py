@@ -105,10 +105,7 @@ def journal_curve(
     """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes a
     second. *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
     """
-    half = mesh.halved()
-    if half is None:
-        what = f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve"
-        raise ConfigError(what, hint="give 48 x 8 cells or more")
+    half = mesh.half()
     bearing = JournalBearing(
         diameter=1.0, length=length_over_diameter, clearance=1e-3, viscosity=1.0, groove_width=groove_width
     )
@@ -278,7 +275,7 @@ def journal_table(
         np.linspace(low, 0, ranges.n_cavitation if low else 1),
     )
     sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
-    return _fit(bearing, load, nodes, np.array([_sheet(sheet) for sheet in sheets]))
+    return _fit(bearing, load, nodes, np.array([sheet.values() for sheet in sheets]))
 
 
 @dataclass(frozen=True)
@@ -310,23 +307,22 @@ class _Sheet:
         return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
 
     def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
-        matrices = np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * self.speed])
+        matrices = np.stack([equilibrium.stiffness, equilibrium.damping * self.speed])
         return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
 
-
-def _sheet(sheet: _Sheet) -> FloatArray:
-    """Coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at a depth; the angle varies slowest."""
-    angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
-    rows = []
-    before: list[JournalEquilibrium] = []
-    for angle in angles if sheet.root > 0 else angles[:1]:
-        here: list[JournalEquilibrium] = []
-        for number, place in enumerate(places):
-            here.append(sheet.equilibrium(angle, *place, _start(here, before, number)))
-        rows.append([sheet.scaled(equilibrium) for equilibrium in here])
-        before = here
-    shape = (angles.size, sheet.nodes[2].size, sheet.nodes[3].size, 8)
-    return np.broadcast_to(np.reshape(rows, (len(rows), *shape[1:])), shape)
+    def values(self) -> FloatArray:
+        """Coefficients (n_angle, n_sommerfeld, n_cavitation, 8); the angle varies slowest."""
+        _, angles, numbers, pressures = self.nodes
+        rows: list[list[FloatArray]] = []
+        before: list[JournalEquilibrium] = []
+        for angle in angles if self.root > 0 else angles[:1]:
+            here: list[JournalEquilibrium] = []
+            for number, place in enumerate(product(numbers, pressures)):
+                here.append(self.equilibrium(angle, *place, _start(here, before, number)))
+            rows.append([self.scaled(equilibrium) for equilibrium in here])
+            before = here
+        shape = (numbers.size, pressures.size, 8)
+        return np.broadcast_to(np.reshape(rows, (-1, *shape)), (angles.size, *shape))
 
 
 def _start(

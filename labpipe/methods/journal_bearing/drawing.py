@@ -54,8 +54,8 @@ def _mid_width(
 
 
 def contour_levels(pressure: FloatArray) -> FloatArray:
-    """Rising levels (n_level,) [bar] at round pressures around all of *pressure* (n_theta, n_axial) [bar],
-    which leave no cell blank.
+    """Rising levels (n_level,) [unit of the pressure] at round ones around all of *pressure* (n_theta,
+    n_axial) [bar], which leave no cell blank.
     """
     margin = TORN * (float(np.ptp(pressure)) or 1.0)
     low, high = float(pressure.min()) + margin, float(pressure.max()) + margin

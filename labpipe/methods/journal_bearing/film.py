@@ -80,6 +80,13 @@ class FilmMesh:
         around, across = (2 * ((n + 2) // 4) for n in (self.around, self.across))
         return FilmMesh(around, max(across, FEWEST_ACROSS)) if around >= FEWEST_AROUND else None
 
+    def half(self) -> FilmMesh:
+        """As `halved`; ConfigError where that is too coarse."""
+        if (mesh := self.halved()) is None:
+            what = f"a mesh of {self.around} x {self.across} cells is too coarse to halve"
+            raise ConfigError(what, hint=f"give {2 * FEWEST_AROUND} x {2 * FEWEST_ACROSS} cells or more")
+        return mesh
+
 
 @dataclass(frozen=True)
 class FilmGrid:

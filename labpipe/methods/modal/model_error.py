@@ -203,18 +203,13 @@ def _pole_and_residue(
         return np.array([pole.real, pole.imag]), refined.covariance[np.ix_(at, at)]
     psi, factor = refined.shapes[driving.output, mode], refined.participation[mode, driving.input]
     values = np.array([pole.real, pole.imag, psi.real, psi.imag, factor.real, factor.imag])
-    covariance = np.zeros((6, 6))
-    covariance[:2, :2] = refined.covariance[np.ix_(at, at)]
-    of_shape = refined.crossed[driving.output][at]
-    covariance[2:4, 2:4] = refined.shape_covariance[driving.output][np.ix_(at, at)]
-    covariance[2:4, :2], covariance[:2, 2:4] = of_shape[:, at], of_shape[:, at].T
+    crossed, n = refined.crossed[driving.output], len(refined.covariance)
+    of_shape = refined.shape_covariance[driving.output]
+    whole = np.block([[refined.covariance, crossed.T], [crossed, of_shape]])
     place = refined.place(mode, driving.input)
-    if place is not None:
-        free = [place, place + 1]
-        covariance[4:, 4:] = refined.covariance[np.ix_(free, free)]
-        covariance[4:, :2] = refined.covariance[np.ix_(free, at)]
-        covariance[:2, 4:] = refined.covariance[np.ix_(at, free)]
-        covariance[2:4, 4:], covariance[4:, 2:4] = of_shape[:, free], of_shape[:, free].T
+    places = [*at, *(n + number for number in at), *([] if place is None else [place, place + 1])]
+    covariance = np.zeros((6, 6))
+    covariance[: len(places), : len(places)] = whole[np.ix_(places, places)]
     return values, covariance
 
 

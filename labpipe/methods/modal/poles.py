@@ -43,6 +43,10 @@ class Poles:
     participation: ComplexArray
     orders: IntArray
 
+    def at(self, chosen: IntArray | BoolArray) -> Poles:
+        """The poles of these numbers (n,), or of this mask [-]."""
+        return Poles(self.values[chosen], self.participation[chosen], self.orders[chosen])
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -209,11 +213,7 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
     """
     orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
     parts = [_inside(equations.poles(order), band) for order in orders]
-    poles = Poles(
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.participation for part in parts]),
-        np.concatenate([part.orders for part in parts]),
-    )
+    poles = Poles(*(np.concatenate(of) for of in zip(*(vars(part).values() for part in parts), strict=True)))
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
     group = _groups(poles, counted)
     modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
@@ -239,7 +239,7 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
     apart = frequencies.size <= poles.values.size and np.all(np.diff(np.log(np.sort(frequencies))) > APART)
     if apart and np.unique(index).size < index.size:
         index = scipy.optimize.linear_sum_assignment(distance)[1]
-    return Poles(poles.values[index], poles.participation[index], poles.orders[index])
+    return poles.at(index)
 
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:
@@ -249,8 +249,8 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
 
 def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
     frequency = np.abs(poles.values)
-    keep = (frequency >= band[0]) & (frequency <= band[1]) & (damping_ratio(poles.values) < MOST_DAMPING)
-    return Poles(poles.values[keep], poles.participation[keep], poles.orders[keep])
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    return poles.at(inside & (damping_ratio(poles.values) < MOST_DAMPING))
 
 
 def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:

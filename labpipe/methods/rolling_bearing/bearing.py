@@ -44,11 +44,6 @@ class Passage:
     stiffness: FloatArray
     displacement: FloatArray
 
-    @property
-    def mean(self) -> FloatArray:
-        """Mean stiffness, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        return self.stiffness.mean(axis=0)
-
     @cached_property
     def lowest(self) -> FloatArray:
         """Smallest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""

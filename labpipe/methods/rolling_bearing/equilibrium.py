@@ -376,14 +376,3 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
     check_carried(parts[0].bearing, at)
     own = joined(parts, ("displacement", "load", "stiffness", "angles"))
     return replace(parts[0], contacts=at, **own)
-
-
-def load_vector(**loads: float) -> FloatArray:
-    """(Fx, Fy, Fz, Mx, My) from named loads, (5,) [N, N m]: load_vector(y=-24, z=427); names x y z mx my.
-
-    ConfigError for another name.
-    """
-    unknown = [name for name in loads if name not in LOADS]
-    if unknown:
-        raise ConfigError(f"no load '{unknown[0]}'", hint=f"known: {', '.join(LOADS)}")
-    return np.array([loads.get(name, 0.0) for name in LOADS])

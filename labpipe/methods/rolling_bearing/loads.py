@@ -302,20 +302,19 @@ def theoretical_response(
     )
 
 
-def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool = False) -> FloatArray:
+def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray) -> FloatArray:
     """Stiffness from a one-dof fit at each dof's main peak, lightly damped: k_i = w_r^2 / phi_ir^2, (5,)
     [N/m, N m/rad].
 
-    With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither
-    equals K_ii: at the peak the coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir,
+    With a known mass M_ii in place of the modal 1/phi_ir^2 it is k_i = M_ii w_r^2. Neither equals K_ii: at
+    the peak the coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir,
     which makes the lower mode of a coupled pair appear softer and the upper one stiffer. A measured fit is
     therefore to be compared with the fit of the theoretical curve, not with K_ii. Equation (roll-sdof).
     """
     shaft_modes = modes(shaft, stiffness)
     main = [shaft_modes.main_mode(dof) for dof in DOFS]
     squares = (2 * np.pi * shaft_modes.frequency[main]) ** 2
-    apparent = squares * shaft.inertias
-    return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
+    return squares * shaft.inertias / shaft_modes.share[range(len(DOFS)), main]
 
 
 RADIAL = (0, 1)

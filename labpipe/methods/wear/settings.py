@@ -36,6 +36,7 @@ class Gaussian:
 
     @classmethod
     def of(cls, names: Iterable[str], mean: Iterable[float], covariance: FloatArray) -> Gaussian:
+        """The distribution of these, *covariance* (n, n) [SI units]."""
         return cls(tuple(names), tuple(mean), tuple(tuple(row) for row in covariance.tolist()))
 
     @property

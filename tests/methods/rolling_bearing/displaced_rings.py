@@ -25,3 +25,10 @@ def _contacts(
     displacement = np.atleast_2d(np.asarray(q, np.float64))
     frame = loads.ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
     return loads.contacts(bearing, displacement, frame), frame
+
+
+def load_vector(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, mx: float = 0.0, my: float = 0.0
+) -> FloatArray:
+    """(Fx, Fy, Fz, Mx, My), (5,) [N, N m]."""
+    return np.array([x, y, z, mx, my], np.float64)
