@@ -320,7 +320,6 @@ def balanced(file: BalanceFile) -> Balanced:
 def _chosen(
     file: BalanceFile, knowledge: Influence
 ) -> tuple[ComplexArray, dict[str, tuple[tuple[float, float], ...]]]:
-    """The weights, and the masses that make them, by plane."""
     planes = file.planes.items()
     if not any(plane.at.size for _, plane in planes):
         weights = best_weights(knowledge.square)

@@ -264,7 +264,7 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Re
 
 
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
-    """pinv(alpha) z_0 of draws (n, n_line, n_plane + 1): what vibrates most alike, (n, n_plane) [kg m]."""
+    """pinv(alpha) z_0 of draws: what vibrates most alike, (n, n_plane) [kg m]."""
     return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
 
 

@@ -164,7 +164,7 @@ def _balance(
 
 
 def _squeeze(film: Film) -> FloatArray:
-    """Derivative of 2 dh/d(Omega t) by the journal's velocity, (2, n_theta, n_half) [-]."""
+    """Derivative of 2 dh/d(Omega t) by the journal's velocity."""
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
 
 

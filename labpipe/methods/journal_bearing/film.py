@@ -287,7 +287,7 @@ def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, Float
 
 
 def _out(flow: FloatArray) -> FloatArray:
-    """Net outflow of every cell from the flows over the faces after them, axis 0 around."""
+    """Net outflow of every cell from the flows over the faces after them."""
     out = np.empty_like(flow)
     np.subtract(flow[1:], flow[:-1], out=out[1:])
     np.subtract(flow[0], flow[-1], out=out[0, ...])
@@ -358,7 +358,6 @@ def _open_ring(cavitated: BoolArray) -> IntArray | None:
 
 
 def _open_band(equations: FilmEquations, columns: IntArray, room: FloatArray) -> FloatArray:
-    """(n_column, n_half, n_half + 1), the lower band of every cell."""
     n_half = equations.diagonal.shape[1]
     band = room[: columns.size * n_half * (n_half + 1)].reshape(columns.size, n_half, n_half + 1)
     band[:] = 0

@@ -178,7 +178,7 @@ def _value(
 
 
 def _at_driving_point(hysteretic: bool) -> Function:
-    """Modal mass [kg] of pole x_0 + j x_1 with residue (x_2 + j x_3)(x_4 + j x_5)."""
+    """Modal mass [kg] of pole x_0 + j x_1, residue (x_2 + j x_3)(x_4 + j x_5)."""
 
     def mass(x: FloatArray) -> float:
         residue = (x[2] + 1j * x[3]) * (x[4] + 1j * x[5])
@@ -295,9 +295,7 @@ def model_errors(
 def _judge(
     measured: Measured, wide: Measured, estimate: ModalEstimate, mode: int, scatter: FloatArray | None
 ) -> tuple[_Band, Fitted, Mixture]:
-    """The band of a mode, its ordinary fit and mixture; the lines next to it alone where its whole band shows
-    a stronger one.
-    """
+    """Band, fit and mixture of a mode; of the lines next to it where its band shows a stronger one."""
     pole = complex(estimate.refined.poles[mode])
     f_r, half = abs(pole) / (2 * np.pi), HALF_JUDGED * -2 * pole.real / (2 * np.pi)
     edges = _widen(measured, pole)
@@ -312,7 +310,6 @@ def _judge(
 
 
 def _survives(mixed: Mixture) -> bool:
-    """Whether all bands and numbers of residual terms speak for one mode and noise."""
     others = mixed.others if isinstance(mixed, Settled) else ()
     return all(of.sound >= 0.5 for of in (mixed, *others))
 
@@ -437,7 +434,6 @@ class _Band:
 
 
 def _near(measured: Measured, pole: complex) -> BoolArray:
-    """The lines (n_line,) of a mode: REACH half-power widths to either side, FEWEST of them at least."""
     frequency = measured.omega / (2 * np.pi)
     away = np.abs(frequency - abs(pole) / (2 * np.pi))
     near = away <= REACH * -2 * pole.real / (2 * np.pi)
@@ -456,10 +452,7 @@ def _widen(measured: Measured, pole: complex) -> tuple[float, float] | None:
 
 
 def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> FloatArray | None:
-    """E|n|^2 of every FRF (n_frf,) [m^2/N^2] between neighbours of the lines *near* (n_line,) [-].
-
-    It is that of the residual.
-    """
+    """E|n|^2 of every FRF (n_frf,) [m^2/N^2] by the residual of the lines *near*; None where measured."""
     if measured.variance is not None and not estimate.unused and np.all(measured.variance > 0):
         return None
     residual = (measured.matrix - estimate.fitted)[near].reshape(np.count_nonzero(near), -1)
@@ -470,9 +463,6 @@ def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> Fl
 
 
 def _noise(measured: Measured, scatter: FloatArray | None) -> FloatArray:
-    """sqrt(E|n|^2) of every FRF on every line, (n_line, n_frf) [m/N]: of a *scatter* alike on all, else the
-    measured one.
-    """
     if scatter is not None:
         return np.broadcast_to(np.sqrt(scatter), (measured.omega.size, scatter.size))
     assert measured.variance is not None

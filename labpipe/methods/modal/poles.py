@@ -124,19 +124,14 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
 
 
 def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
-    """Real part of the sums over lines of z^m *values* (n_line, n) for m = -highest ...
-
-    highest, (2 highest + 1, n).
-    """
+    """Real part of the sums over lines of z^m *values*, m from -highest to highest."""
     forward = (lags.T @ values).real
     backward = (lags.conj().T @ values).real
     return np.concatenate([backward[:0:-1], forward])
 
 
 def _solve(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solution with the eigenvalues left out that are rounding: noise-free data leave the normal matrix
-    singular.
-    """
+    """Without the eigenvalues that rounding leaves of zero: noise-free data make the matrix singular."""
     try:
         factor = np.linalg.cholesky(matrix)
         diagonal = np.diag(factor)
@@ -161,7 +156,7 @@ def _roots(coefficients: FloatArray) -> ComplexArray:
 
 
 def _null_vectors(coefficients: FloatArray, roots: ComplexArray) -> ComplexArray:
-    """Left null vectors (n, n_input) of length 1 of I z^order + sum A_k z^k at *roots* z (n,)."""
+    """Left null vectors (n, n_input) of I z^order + sum A_k z^k at *roots* z (n,)."""
     order, n, _ = coefficients.shape
     # Over the largest of their powers, so that none overflows.
     powers = roots[:, None] ** (np.arange(order + 1) - order * (np.abs(roots) > 1)[:, None])
@@ -254,7 +249,6 @@ def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
 
 
 def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:
-    """Whether each of *values* (n,) is the mode of each pole, (n, n_pole)."""
     limit = SHARE_OF_DECAY * np.abs(values.real) + SHARE_OF_FREQUENCY * np.abs(values)
     return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (
         modal_assurance(participation, poles.participation) > ALIKE
@@ -262,9 +256,7 @@ def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> Bo
 
 
 def _groups(poles: Poles, counted: list[int]) -> IntArray:
-    """Greedy choice: the pole with neighbours in most orders takes them out, until none returns in enough
-    orders.
-    """
+    """The pole with neighbours in most orders takes them out, until none returns in enough orders."""
     group = np.full(poles.values.size, -1)
     near = _near(poles, poles.values, poles.participation)
     position = {order: n for n, order in enumerate(counted)}
@@ -292,9 +284,7 @@ def _groups(poles: Poles, counted: list[int]) -> IntArray:
 def _least_biased(
     equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]
 ) -> Poles:
-    """The modes with the poles of the constraint of least bias: at each high order the nearest one, then the
-    median.
-    """
+    """By the constraint of least bias: at each high order the nearest pole, then the median."""
     n_mode = int(group.max(initial=-1)) + 1
     centre = np.empty(n_mode, np.complex128)
     participation = np.empty((n_mode, equations.n_input), np.complex128)
@@ -356,7 +346,7 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
 
 
 def _even(flat: ComplexArray) -> ComplexArray:
-    """Residuals (n_line, n) relative to the root mean square of the AROUND lines about each."""
+    """Relative to the root mean square of the AROUND lines about each."""
     kernel = np.ones(min(AROUND, flat.shape[0]))
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
     sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
@@ -465,9 +455,7 @@ def kept_modes(
 
 
 def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """The modes inside the band, those narrower than it by their half-power width -2 Re lambda, and those
-    that stand out of the noise, (n_mode,) each.
-    """
+    """Modes inside the band, narrower than it, and such that stand out of the noise, (n_mode,) each."""
     frequency, decay = np.abs(refined.poles), -refined.poles.real
     low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)

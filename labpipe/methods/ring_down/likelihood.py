@@ -74,7 +74,6 @@ def pieces_of(
 
 
 def _lines_of(n: int, rate: float, band: tuple[float, float]) -> IntArray:
-    """The lines (n_line,) [1] of *n* samples at *rate* [Hz] in a *band* [Hz]."""
     frequency = fft.rfftfreq(n, 1 / rate)
     return np.flatnonzero(lines_in(frequency, band) & (frequency > 0) & (frequency < rate / 2))
 
@@ -254,7 +253,7 @@ def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
 
 
 def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Information (2 n_mode, 2 n_mode) of (Re lambda, Im lambda) and its right side, in 1 / (rad/s)."""
+    """Information (2 n_mode, 2 n_mode) of Re and Im of the poles, and its right side."""
     n_mode = solved[0].amplitudes.shape[0]
     information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
     for part, variances in zip(solved, variance, strict=True):
@@ -271,7 +270,6 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
 def _shorter_until_better(
     pieces: Sequence[Piece], solved: Sequence[Solved], poles: ComplexArray, step: FloatArray
 ) -> tuple[ComplexArray, list[Solved]] | None:
-    """The poles after the step, halved until they are more likely."""
     before = _misfit(solved)
     change = step[: poles.size] + 1j * step[poles.size :]
     for _ in range(MOST_HALVINGS):
@@ -340,9 +338,7 @@ def most_likely(
 def _follow(
     pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band: tuple[float, float] | None
 ) -> Decayed:
-    """The fit over pieces of doubling length, so that the phase of a long record is never lost by a whole
-    turn.
-    """
+    """Over pieces of doubling length, so that the phase of a long record is never lost by a whole turn."""
     longest = max(piece.time.size for piece in pieces)
     while band is None and n_sample < longest:
         first = slice(n_sample)
@@ -379,7 +375,6 @@ def pencil_poles(
 
 
 def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
-    """Energy (n_pole,) of every pole's part in all series."""
     energy = np.zeros(steps.size)
     for samples in series:
         course = np.exp(np.arange(samples.size)[:, None] * (np.minimum(steps.real, 0.0) + 1j * steps.imag))
@@ -393,9 +388,7 @@ def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
 def _decimate(
     series: Sequence[FloatArray], rate: float, band: tuple[float, float] | None, n_mode: int
 ) -> tuple[list[FloatArray], float]:
-    """The series without offset at the least rate [Hz] that shows their modes, at most MOST_SAMPLES of
-    each.
-    """
+    """At the least rate [Hz] that shows their modes, without offset, at most MOST_SAMPLES of each."""
     centred = [_filter(samples - np.mean(samples), rate, band) for samples in series]
     factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
     if factor == 1:

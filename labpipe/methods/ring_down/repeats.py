@@ -33,6 +33,11 @@ from labpipe.records.spectra import FreeDecays
 POWERS = {"f_n": (1, 0), "zeta": (0, 1), "log_decrement": (0, 1), "k": (2, 0), "c": (1, 1)}
 
 
+def quantity_name(quantity: str, mode: int, n_mode: int) -> str:
+    """The name of a quantity of a mode, from 0; of a single mode k and c have no number."""
+    return quantity if n_mode == 1 and quantity in ("k", "c") else f"{quantity}_{mode + 1}"
+
+
 def powers_of(name: str, zeta: float) -> tuple[float, float]:
     """Slopes of the logarithm of a quantity over ln f and ln zeta: those of POWERS, but that of the
     logarithmic decrement 2 pi zeta / sqrt(1 - zeta^2) is 1 / (1 - zeta^2).
@@ -205,7 +210,7 @@ def with_repeats(
     c. Equation (repeats-mean).
     """
     entries: dict[str, Parameter] = {}
-    alone, n_mode = (len(repeated.means) == 1), len(repeated.means)
+    n_mode = len(repeated.means)
     by_name = {parameter.name: parameter for parameter in parameters}
     logs = np.array([_logarithms(fit)[0] for fit in repeated.fits])
     noise = np.array([_logarithms(fit)[1] for fit in repeated.fits])[repeated.kept.used]
@@ -218,7 +223,7 @@ def with_repeats(
             stated |= {"k": mass * (2 * np.pi * f) ** 2, "c": 4 * np.pi * mass * f * zeta}
         errors = np.sqrt([mean.weights**2 @ noise[:, of] for of, mean in zip(of_mode, pair, strict=True)])
         for quantity, value in stated.items():
-            name = quantity if alone and quantity in ("k", "c") else f"{quantity}_{mode + 1}"
+            name = quantity_name(quantity, mode, n_mode)
             powers = np.array(powers_of(quantity, zeta))
             values = value * np.exp((logs[:, of_mode] - means) @ powers)
             law = (powers, value, repeated.at[mode])

@@ -140,7 +140,6 @@ def weighted_sum(weights: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
-    """v_j . q: (n_case, z)."""
     if vectors.ndim == 2:
         return q @ vectors.T
     return (vectors @ q[:, :, None])[:, :, 0]
@@ -185,7 +184,6 @@ def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Con
 
 
 def _hertz(delta: FloatArray, bearing: RollingBearing) -> tuple[FloatArray, FloatArray]:
-    """Q = K_n delta^n and dQ/ddelta = n K_n delta^(n-1)."""
     root = np.sqrt(delta) if bearing.is_ball else delta ** (bearing.exponent - 1)
     stiff = bearing.stiffness_constant * root
     return stiff * delta, bearing.exponent * stiff
@@ -215,7 +213,6 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
 
 
 def _square(vectors: FloatArray, weights: FloatArray) -> FloatArray:
-    """sum_j w_j v_j v_j^T: *vectors* (n_case, z, 5), *weights* (n_case, z) -> (n_case, 5, 5)."""
     return np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
 
 

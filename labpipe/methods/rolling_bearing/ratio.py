@@ -140,7 +140,6 @@ def match(
 def _solve(
     function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The root of function(u) = target and the slopes (2, 2) near it."""
     u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(u)
@@ -172,7 +171,6 @@ def _positive(fit: Fit, name: str) -> float:
 
 
 def _log_change(fit: Fit, source: str) -> FloatArray:
-    """Change of ln k and ln c, (2,), by one standard uncertainty of a source."""
     return np.array([change_in(fit, source, name) / fit.parameter(name).value for name in COEFFICIENTS])
 
 

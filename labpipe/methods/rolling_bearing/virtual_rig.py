@@ -224,7 +224,6 @@ def _channels(force: str) -> tuple[Channel, ...]:
 
 
 def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> virtual_rigs.SimulatedRun:
-    """Force against the string's frequency (P = a f^2), or the strip's voltage (F = b S + c)."""
     rng = virtual_rigs.generator(seed, name)
     force = np.linspace(150.0, 1800.0, CALIBRATION_POINTS)
     if name == "string":

@@ -18,23 +18,8 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, student_limit
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.wear import search
 from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
-from labpipe.methods.wear.search import (
-    LEAST_INFORMATION,
-    Interval,
-    Minimum,
-    film_covariance,
-    healthy_minimum,
-    healthy_probability,
-    joint_region,
-    merge,
-    minima,
-    profile_interval,
-    refine,
-    start_mesh,
-    widen,
-    widened_region,
-)
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Finding, Parameter
@@ -51,7 +36,7 @@ SAME_SPEED = 0.01
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
 
 
-def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
+def bounds_reached(misfit: Misfit, best: search.Minimum) -> tuple[str, ...]:
     model = misfit.model
     margin = AT_BOUND * (model.high - model.low)
     at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
@@ -66,7 +51,7 @@ def bound_finding(name: str) -> Finding:
     return Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
 
 
-def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
+def rival_findings(minima: Sequence[search.Minimum], misfit: Misfit) -> list[Finding]:
     best = minima[0]
     rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
@@ -81,7 +66,7 @@ def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
     return [Finding("multi-modal", message)]
 
 
-def _place(misfit: Misfit, minimum: Minimum) -> str:
+def _place(misfit: Misfit, minimum: search.Minimum) -> str:
     values = misfit.model.values(minimum.parameters)
     return f"{values[DEPTH] * 1e6:.3g} um at {np.degrees(values[ANGLE]):.3g} deg"
 
@@ -103,7 +88,7 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
     return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}{doubt}")]
 
 
-def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
+def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
     total = sum(minimum.starts for minimum in minima)
     best = minima[0]
     cells = f"{mesh.around} x {mesh.across}"
@@ -130,7 +115,7 @@ class _Solved:
     """All minima, the best first, misfit [std. dev.], covariances (n, n), least chi-square unworn."""
 
     misfit: Misfit
-    minima: tuple[Minimum, ...]
+    minima: tuple[search.Minimum, ...]
     noise_covariance: FloatArray
     film_covariance: FloatArray
     healthy_chi2: float | None = None
@@ -140,7 +125,7 @@ class _Solved:
         return self.noise_covariance + self.film_covariance
 
     @property
-    def best(self) -> Minimum:
+    def best(self) -> search.Minimum:
         return self.minima[0]
 
     @property
@@ -229,13 +214,13 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
-    n_response = misfit.residual(start_mesh(wear, misfit)[0]).size - misfit.n_prior
+    n_response = misfit.residual(search.start_mesh(wear, misfit)[0]).size - misfit.n_prior
     if n_response <= len(misfit.model.names) - misfit.n_prior:
         raise FitError(
             f"{n_response} equations cannot determine {len(misfit.model.names)} parameters",
             hint="use more lines or terms",
         )
-    candidates = minima(misfit, start_mesh(wear, misfit))
+    candidates = search.minima(misfit, search.start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         refined_misfit, ranked = _rank(misfit, candidates[:1])
         residual = refined_misfit.residual(ranked[0].parameters)[: -refined_misfit.n_prior or None]
@@ -245,35 +230,35 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         if not misfit.n_prior:
             candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
             break
-        candidates = minima(misfit, start_mesh(wear, misfit))
+        candidates = search.minima(misfit, search.start_mesh(wear, misfit))
     misfit, ranked = _rank(misfit, candidates)
     healthy_chi2 = None
     if DEPTH in misfit.model.names:
-        without, healthy = healthy_minimum(misfit, ranked[0])
+        without, healthy = search.healthy_minimum(misfit, ranked[0])
         healthy_chi2 = healthy.chi2
         if healthy.chi2 < ranked[0].chi2 + ALIKE:
-            misfit, ranked = without, merge([healthy, *ranked])
+            misfit, ranked = without, search.merge([healthy, *ranked])
     jacobian = misfit.jacobian(ranked[0].parameters)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
+    covariance = np.linalg.inv(jacobian.T @ jacobian + search.LEAST_INFORMATION * np.eye(jacobian.shape[1]))
     return _Solved(
         misfit,
         tuple(ranked),
         covariance,
-        film_covariance(misfit, ranked[0].parameters, covariance),
+        search.film_covariance(misfit, ranked[0].parameters, covariance),
         healthy_chi2,
     )
 
 
-def _rank(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
+def _rank(misfit: Misfit, candidates: list[search.Minimum]) -> tuple[Misfit, list[search.Minimum]]:
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
         if candidate.converged and candidate.chi2 <= candidates[0].chi2 + NEAR * (candidates[0].chi2 + 100)
     ]
-    pairs = [refine(misfit, candidate) for candidate in near] or [refine(misfit, candidates[0])]
+    pairs = [search.refine(misfit, candidate) for candidate in near] or [search.refine(misfit, candidates[0])]
     pairs.sort(key=lambda pair: (not pair[1].converged, pair[1].chi2))
     others = [candidate for candidate in candidates if not any(candidate is other for other in near)]
-    return pairs[0][0], merge([*(pair[1] for pair in pairs), *others])
+    return pairs[0][0], search.merge([*(pair[1] for pair in pairs), *others])
 
 
 def _estimate(solved: _Solved) -> Estimate:
@@ -316,29 +301,29 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     ]
     if solved.healthy_chi2 is None:
         return tuple(plain), findings
-    probability = healthy_probability(misfit, best, solved.healthy_chi2)
+    probability = search.healthy_probability(misfit, best, solved.healthy_chi2)
     plain.append(Parameter("healthy_probability", probability, "1", derived=True))
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < diagnostics.MISMATCH_P
     findings += [] if identifiable else [NO_ANGLE]
     return tuple(plain), [*findings, *healthy_findings(probability, mismatch)]
 
 
-def _intervals(solved: _Solved) -> dict[str, Interval]:
+def _intervals(solved: _Solved) -> dict[str, search.Interval]:
     model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
     noise, reach = np.sqrt(np.diag(solved.noise_covariance)), limit * np.sqrt(np.diag(solved.film_covariance))
     intervals = {}
     for number, name in enumerate(model.names):
         if name in (DEPTH, ANGLE):
-            interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
+            one = float(noise[number])
+            interval = search.profile_interval(solved.misfit, solved.best, number, one, limit)
             bounds = model.low[number], model.high[number]
-            intervals[name] = widen(interval, parameters[number], reach[number], *bounds)
+            intervals[name] = search.widen(interval, parameters[number], reach[number], *bounds)
     return intervals
 
 
 def _parameter(
-    solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool
+    solved: _Solved, number: int, vif: float | None, interval: search.Interval | None, identifiable: bool
 ) -> Parameter:
-    """One parameter; no standard error of an unidentifiable angle or at a bound."""
     model = solved.misfit.model
     name, scale = model.names[number], float(model.scale[number])
     value = scale * float(solved.best.parameters[number])
@@ -378,9 +363,9 @@ def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region,
     model, both = solved.misfit.model, slice(2)
     if DEPTH not in model.names or any(p.name == ANGLE and p.ci95 is None for p in parameters):
         return ()
-    outline = joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
+    outline = search.joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
     noise, film = solved.noise_covariance[both, both], solved.film_covariance[both, both]
-    wide = widened_region(outline, solved.best.parameters[both], noise, film)
+    wide = search.widened_region(outline, solved.best.parameters[both], noise, film)
     inside = np.clip(wide, model.low[both], model.high[both]) * model.scale[both]
     return (Region((DEPTH, ANGLE), inside, REGION_LEVEL),)
 

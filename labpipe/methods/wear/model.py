@@ -160,7 +160,7 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
 
 
 def _centre(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
-    """The rig with bearings and shaft damping at the prior means, around which the tables are made."""
+    """The rig at the prior means, around which the tables are made."""
     film_values = {name: value for name, value in centre.items() if name not in ("beta", *SCALES)}
     rig = rig.with_bearings((), **film_values) if film_values else rig
     return replace(rig, rotor=replace(rig.rotor, beta=centre["beta"])) if "beta" in centre else rig
@@ -185,7 +185,6 @@ def _reach(
 
 
 def _factor(prior: Gaussian, box: dict[str, tuple[float, float]], name: str) -> float:
-    """Largest ratio of a parameter to its prior mean within its bounds, either way."""
     if name not in box:
         return 1.0
     mean = prior.mean[prior.names.index(name)]
@@ -246,7 +245,6 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
-    """Changes in the fit's frame by the direction of sensors and forces of uncertain angle."""
     errors = []
     for side in ("outputs", "inputs"):
         ports = getattr(response, side)

@@ -300,7 +300,7 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
 
 
 def _peak_share(misfit: Misfit, best: Minimum) -> float:
-    """Mean of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the area."""
+    """Of one narrow peak: 2 pi sqrt(det cov) over the area."""
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
     return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(_spread(misfit, best)), 1e-12))) / area, 1.0)
 

@@ -272,7 +272,6 @@ class TabledBearing:
         return replace(self, correction=replace(self.correction, offset=self.correction.offset + change))
 
     def _followed(self, names: Collection[str]) -> list[str]:
-        """Those of *names* that this bearing follows."""
         return [name for name in PARAMETERS if name in names and (self.worn or name not in WEAR)]
 
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
