@@ -177,5 +177,10 @@ def test_what_repeats_scatter_by_counts_and_given_coefficients_are_refused() -> 
         log_covariance(replace(given, parameters=(k,)))
 
 
+def test_a_negative_damping_has_no_logarithm() -> None:
+    with pytest.raises(FitError, match="c of test t0 is -200"):
+        rayleigh(series(RAYLEIGH, damping=(-200.0, 400.0)), None)
+
+
 def inflated(parameter: Parameter) -> Parameter:
     return replace(parameter, std_error_inflated=3 * parameter.std_error)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.records.response import FrequencyResponse, Port
 
 DOFS = ("x", "y", "z", "bx", "by")
@@ -53,26 +53,21 @@ class RollingBearing:
 
     def __post_init__(self) -> None:
         if self.elements < MIN_ELEMENTS:
-            raise ConfigError(
-                f"{self.elements} rolling elements do not make a bearing", hint=f"{MIN_ELEMENTS} or more"
-            )
+            what = f"{self.elements} rolling elements do not make a bearing"
+            raise SettingError("elements", what, f"{MIN_ELEMENTS} or more")
         if self.elements > MAX_ELEMENTS:
-            raise ConfigError(
-                f"a bearing of {self.elements} rolling elements is not computed", hint=f"up to {MAX_ELEMENTS}"
-            )
+            what = f"a bearing of {self.elements} rolling elements is not computed"
+            raise SettingError("elements", what, f"up to {MAX_ELEMENTS}")
         for name in ("stiffness_constant", "pitch_radius", "groove_distance"):
             amount = getattr(self, name)
             if amount is not None and not 0 < amount < np.inf:
-                raise ConfigError(f"{name} must be above zero, found {amount:g}")
+                raise SettingError(name, f"{name} must be above zero, found {amount:g}")
         if not abs(self.contact_angle) < np.pi / 2:
-            raise ConfigError("the contact angle must lie between -90 and 90 deg")
-        if self.groove_distance is not None and self.clearance >= self.groove_distance * np.cos(
-            self.contact_angle
-        ):
-            raise ConfigError(
-                "the clearance is larger than the groove centres' radial distance",
-                hint="it is the radial clearance",
-            )
+            raise SettingError("contact_angle", "the contact angle must lie between -90 and 90 deg")
+        radial = (self.groove_distance or np.inf) * np.cos(self.contact_angle)
+        if self.clearance >= radial:
+            what = "the clearance is larger than the groove centres' radial distance"
+            raise SettingError("clearance", what, "it is the radial clearance")
 
     @property
     def is_ball(self) -> bool:
@@ -289,14 +284,8 @@ def theoretical_response(
     transfer_matrix does.
     """
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
-    return FrequencyResponse(
-        frequency,
-        transfer_matrix(shaft, stiffness, frequency, beta),
-        ports,
-        ports,
-        form="receptance",
-        name=name,
-    )
+    matrix = transfer_matrix(shaft, stiffness, frequency, beta)
+    return FrequencyResponse(frequency, matrix, ports, ports, form="receptance", name=name)
 
 
 def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray) -> FloatArray:
@@ -323,9 +312,8 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     ConfigError for k_s not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
-        raise ConfigError(
-            f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero"
-        )
+        what = f"the bending stiffness of the shaft is {bending:g} N/m"
+        raise ConfigError(what, hint="it must be above zero")
     whole = np.asarray(stiffness, np.complex128)
     if np.isinf(bending):
         return whole
@@ -348,6 +336,5 @@ def bent_transfer_matrix(
     try:
         return np.asarray(np.linalg.inv(dynamic))
     except np.linalg.LinAlgError:
-        raise FitError(
-            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
-        ) from None
+        hint = "give a damping factor, or leave out 0 Hz"
+        raise FitError("the dynamic stiffness is singular at a line", hint=hint) from None

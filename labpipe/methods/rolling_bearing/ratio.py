@@ -42,7 +42,8 @@ from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
 from labpipe.uncertainty.weighted import WeightedFit, weighted_fit, weighted_mean
 
-COEFFICIENTS = ("k", "c")
+# ln beta = ln c - ln k of the logarithms of these.
+COEFFICIENTS, BETA = ("k", "c"), np.array([-1.0, 1.0])
 TILTS = (3, 4)
 STEP = 1e-4
 TOLERANCE = 1e-8
@@ -117,18 +118,16 @@ def match(
         scaled = float(np.exp(log[0])) * stiffness
         matrix = _theory_curve(curve, theory.shaft, scaled, beta, shaft_stiffness)[:, None, None]
         (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
-        return np.log([_positive(fit, name) for name in COEFFICIENTS])
+        return _logarithms(fit)
 
-    measured = np.log([_positive(fit, name) for name in COEFFICIENTS])
+    measured = _logarithms(fit)
     start = np.array([0.0, measured[1] - measured[0]])
     log, slopes = _solve(lambda u: fitted(u, theory.stiffness, bending), measured, start)
     inverse = np.linalg.inv(slopes)
     solution = fitted(log, theory.stiffness, bending)
-    to_bending = (
-        np.zeros(2)
-        if np.isinf(bending)
-        else (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
-    )
+    to_bending = np.zeros(2)
+    if np.isfinite(bending):
+        to_bending = (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
     to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
     theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
     covariance = inverse @ log_covariance(fit) @ inverse.T
@@ -161,13 +160,15 @@ def _coefficient(fit: Fit, name: str) -> Parameter:
     return found
 
 
-def _positive(fit: Fit, name: str) -> float:
-    value = _coefficient(fit, name).value
-    if not value > 0:
-        whose = f"of test {fit.test}" if fit.test else "of the theory's own curve"
-        hint = "" if fit.test else "its resonance lies outside the band of the fit"
-        raise FitError(f"{name} {whose} is {value:g}, impossible for the bearing of the theory", hint=hint)
-    return value
+def _logarithms(fit: Fit) -> FloatArray:
+    """ln k and ln c, (2,)."""
+    values = [_coefficient(fit, name).value for name in COEFFICIENTS]
+    for name, value in zip(COEFFICIENTS, values, strict=True):
+        if not value > 0:
+            whose = f"of test {fit.test}" if fit.test else "of the theory's own curve"
+            hint = "" if fit.test else "its resonance lies outside the band of the fit"
+            raise FitError(f"{name} {whose} is {value:g}, impossible for a bearing", hint=hint)
+    return np.log(values)
 
 
 def _log_change(fit: Fit, source: str) -> FloatArray:
@@ -220,17 +221,13 @@ def _curve(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
 ) -> _Curve:
     if not settings.kind.one_frf or fit.curve is None:
-        raise ConfigError(
-            f"fit '{fit.name}' is not of the model sdof",
-            hint="only one-dof fits are compared with those of the theory",
-        )
+        hint = "only one-dof fits are compared with those of the theory"
+        raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint=hint)
     if settings.damping != VISCOUS:
         raise ConfigError(f"fit '{fit.name}' has {settings.damping} damping", hint="the theory's is viscous")
     if settings.subtract is not None or settings.share != 1:
-        raise ConfigError(
-            f"fit '{fit.name}' is corrected for support or share",
-            hint="compare the fit of the whole with the theory",
-        )
+        hint = "compare the fit of the whole with the theory"
+        raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint=hint)
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
     column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
     lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)
@@ -270,10 +267,8 @@ def _curve(
 def _place(port: Port) -> int:
     name = next((name for name in (port.dof, port.label) if name in DOFS), None)
     if name is None:
-        raise ConfigError(
-            f"'{port.label}' is no dof of the bearing's theory",
-            hint=f"give its dof in the rig file: {', '.join(DOFS)}",
-        )
+        hint = f"give its dof in the rig file: {', '.join(DOFS)}"
+        raise ConfigError(f"'{port.label}' is no dof of the bearing's theory", hint=hint)
     return DOFS.index(name)
 
 
@@ -281,10 +276,8 @@ def _arm(rig: Rig, place: int) -> float:
     if place not in TILTS:
         return 1.0
     if rig.arm is None:
-        raise ConfigError(
-            f"the tilt {DOFS[place]} is compared without an arm",
-            hint="theory: {arm: 100 mm}, the place of the shaker",
-        )
+        hint = "theory: {arm: 100 mm}, the place of the shaker"
+        raise ConfigError(f"the tilt {DOFS[place]} is compared without an arm", hint=hint)
     return rig.arm
 
 
@@ -364,7 +357,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         logs = np.array([test.log[1] for test in matched])
         covariance = joint_covariance(matched, 1, campaign.settings.setting_error, bending_error)
     mean = weighted_mean(logs, covariance)
-    stiffness = np.log([observation.fit.parameter("k").value for observation in campaign.observations])
+    stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
     change = weighted_fit(columns, logs, covariance)
     exponent = with_error("exponent", "1", 1 + float(change.values[1]), change.std_error(1), change.quantile)
@@ -387,10 +380,9 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
     """ln(c / k) and its covariance (n, n), by each fit and by what the fits have in common."""
-    covariances = [log_covariance(fit) for fit in fits]
-    logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
-    variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
-    common = common_changes(fits, lambda fit, source: float(np.diff(_log_change(fit, source))[0]))
+    logs = np.array([_logarithms(fit) @ BETA for fit in fits])
+    variances = np.diag([BETA @ log_covariance(fit) @ BETA for fit in fits])
+    common = common_changes(fits, lambda fit, source: float(_log_change(fit, source) @ BETA))
     return logs, variances + common.T @ common
 
 
@@ -415,9 +407,8 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
         shaft = getattr(low, "shaft", None)
         if here.dofs != DOFS or shaft is None:
             hint = "a ball or roller bearing with shaft: {mass, inertia_x} is needed"
-            raise ConfigError(
-                "the bearing file has no shaft on a bearing of five dofs", where=str(file.path), hint=hint
-            )
+            what = "the bearing file has no shaft on a bearing of five dofs"
+            raise ConfigError(what, file.path, hint)
         return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body)
 
     return at
