@@ -90,11 +90,10 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
 
 def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
     total = sum(minimum.starts for minimum in minima)
-    best = minima[0]
-    cells = f"{mesh.around} x {mesh.across}"
     return (
-        f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil "
-        f"films of {cells} cells around tables of {settings.cells_around} x {settings.cells_across}."
+        f"{minima[0].starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on "
+        f"oil films of {mesh.around} x {mesh.across} cells around tables of {settings.cells_around} x "
+        f"{settings.cells_across}."
     )
 
 
@@ -146,16 +145,14 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     solved = _solve(measured, wear)
     estimate = _estimate(solved)
     parameters, findings = _report(solved, estimate)
-    frequency = measured.frequency
+    frequency, name = measured.frequency, NAMES[wear.objective]
     lines = np.isin(response.frequency, frequency)
     band = settings.band or (float(frequency[0]), float(frequency[-1]))
     fit = replace(
         reported_fit(settings, estimate, parameters, band, frequency.size, solved.misfit.n_prior),
-        estimator=NAMES[wear.objective],
+        estimator=name,
         findings=(
-            *_estimate_findings(
-                solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]
-            ),
+            *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else name),
             *findings,
             *diagnostics.quality_findings(response, [0, 1], [0, 1], lines),
         ),
@@ -189,22 +186,23 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
     step = solved.noise_covariance @ misfit.jacobian(best)[: -misfit.n_prior or None].T
     beside = np.zeros(n_parameter - len(misfit.model.names))
 
-    def values(change: ComplexArray) -> FloatArray:
-        moved = replace(
-            measured, measured=replace(measured.measured, matrix=measured.measured.matrix + change)
-        )
-        residual = MISFITS[objective](misfit.model, moved).compared(modelled, of_parameters)[0] / misfit.size
+    def residual(of: WornReceptance, terms: ComplexArray) -> FloatArray:
+        return MISFITS[objective](misfit.model, of).compared(terms, of_parameters)[0] / misfit.size
+
+    def changed(residual: FloatArray) -> FloatArray:
         return np.concatenate([-misfit.model.scale * (step @ residual), beside])
+
+    def values(change: ComplexArray) -> FloatArray:
+        moved = replace(measured.measured, matrix=measured.measured.matrix + change)
+        return changed(residual(replace(measured, measured=moved), modelled))
 
     def by_bearings(source: str) -> FloatArray:
         change = np.zeros(step.shape[1])
         for pair in misfit.model.rig.ends(source):
             for rig, half in zip(pair, (0.5, -0.5), strict=True):
                 model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, False)
-                moved = measured.terms(model.response(best)[0])
-                compared = MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0]
-                change += half * compared / misfit.size
-        return np.concatenate([-misfit.model.scale * (step @ change), beside])
+                change += half * residual(measured, measured.terms(model.response(best)[0]))
+        return changed(change)
 
     return [
         *changes_by(measured.errors, values),
@@ -216,10 +214,8 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
     n_response = misfit.residual(search.start_mesh(wear, misfit)[0]).size - misfit.n_prior
     if n_response <= len(misfit.model.names) - misfit.n_prior:
-        raise FitError(
-            f"{n_response} equations cannot determine {len(misfit.model.names)} parameters",
-            hint="use more lines or terms",
-        )
+        what = f"{n_response} equations cannot determine {len(misfit.model.names)} parameters"
+        raise FitError(what, hint="use more lines or terms")
     candidates = search.minima(misfit, search.start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         refined_misfit, ranked = _rank(misfit, candidates[:1])
@@ -238,15 +234,9 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         healthy_chi2 = healthy.chi2
         if healthy.chi2 < ranked[0].chi2 + ALIKE:
             misfit, ranked = without, search.merge([healthy, *ranked])
-    jacobian = misfit.jacobian(ranked[0].parameters)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + search.LEAST_INFORMATION * np.eye(jacobian.shape[1]))
-    return _Solved(
-        misfit,
-        tuple(ranked),
-        covariance,
-        search.film_covariance(misfit, ranked[0].parameters, covariance),
-        healthy_chi2,
-    )
+    covariance = search.covariance_of(misfit, ranked[0])
+    by_films = search.film_covariance(misfit, ranked[0].parameters, covariance)
+    return _Solved(misfit, tuple(ranked), covariance, by_films, healthy_chi2)
 
 
 def _rank(misfit: Misfit, candidates: list[search.Minimum]) -> tuple[Misfit, list[search.Minimum]]:
@@ -266,8 +256,8 @@ def _estimate(solved: _Solved) -> Estimate:
     measured, names = misfit.receptance, misfit.model.names
     jacobian, sensitive = misfit.jacobian(best.parameters), list(_sensitive_parameters(solved))
     measured_terms = measured.terms(measured.measured.matrix)
-    modelled_terms = measured.terms(misfit.model.response(best.parameters)[0])
-    r2, adjusted = determination(measured_terms, measured_terms - modelled_terms, len(names))
+    modelled = measured.terms(misfit.model.response(best.parameters)[0])
+    r2, adjusted = determination(measured_terms, measured_terms - modelled, len(names))
     reduced, p_value = None, None
     if misfit.weighted:
         reduced = best.chi2 / misfit.excess / dof
@@ -288,9 +278,8 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
     identifiable = not (ANGLE in intervals and intervals[ANGLE].open_low and intervals[ANGLE].open_high)
-    factors = dict(
-        zip(_sensitive_parameters(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False)
-    )
+    inflation = inflation_factors(estimate.scaled_design).tolist()
+    factors = dict(zip(_sensitive_parameters(solved), inflation, strict=False))
     plain = [
         _parameter(solved, number, factors.get(number), intervals.get(name), identifiable)
         for number, name in enumerate(misfit.model.names)

@@ -235,9 +235,9 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
     turn = np.kron(left, right.T)
-    covariance = (
-        None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
-    )
+    covariance = measured.covariance
+    if covariance is not None:
+        covariance = without_rounding(turn @ covariance @ turn.conj().T)
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
     errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
     errors += _of_directions(response, wear.response, measured.matrix)
@@ -267,9 +267,8 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
     """L and R of L H R, from the response's own frame to the fit's."""
     if len(response.outputs) != 2 or len(response.inputs) != 2:
         ports = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
-        raise ConfigError(
-            f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z"
-        )
+        what = f"worn-bearing takes two responses and two forces, found {ports}"
+        raise ConfigError(what, hint="excite in y, then in z")
     left = np.linalg.inv(_sensing(response.outputs))
     right = np.linalg.inv(
         FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
@@ -298,9 +297,8 @@ def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
     try:
         return directions(ports, role).astype(np.complex128)
     except DataError as error:
-        raise ConfigError(
-            error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal"
-        ) from None
+        hint = "give dof: y (horizontal) and dof: z (up), or angles from horizontal"
+        raise ConfigError(error.what, hint=hint) from None
 
 
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
@@ -318,9 +316,7 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
         return chosen
     if wear.half_power:
         size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))
-        peaks = [
-            half_power(response.frequency, size.astype(np.complex128), around) for around in wear.half_power
-        ]
+        peaks = [half_power(response.frequency, size + 0j, around) for around in wear.half_power]
         inside &= np.any([lines_in(response.frequency, (peak.low, peak.high)) for peak in peaks], axis=0)
     if not np.any(inside):
         raise FitError("no frequency line is left", hint="widen the band")

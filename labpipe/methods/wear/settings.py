@@ -191,9 +191,8 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
             raise ConfigError(what, hint="leave it out")
         return replace(settings, model_settings=replace(wear, posterior=whole))
     hint = nearest(wear.prior, [fit.name for fit in fits])
-    raise ConfigError(
-        f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}"
-    )
+    what = f"wear.prior: no earlier fit '{wear.prior}'"
+    raise ConfigError(what, hint=f"fits are made in their order; {hint}")
 
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
