@@ -233,6 +233,8 @@ def _read_run(
 ) -> None:
     """Add a run to *named*; readings of all runs have the dimension of the first."""
     entries = faults.mapping(node, key)
+    if not isinstance(node.content, dict):
+        return
     faults.unknown_keys(node, key, ("name", "weights", "readings"))
     vectors: dict[str, dict[str, complex]] = {"weights": {}, "readings": {}}
     for part, into in vectors.items():

@@ -29,7 +29,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
@@ -65,7 +65,7 @@ class FilmMesh:
         if self.around < FEWEST_AROUND or self.across < FEWEST_ACROSS or self.around % 2 or self.across % 2:
             what = f"an oil film of {self.around} x {self.across} cells cannot be solved"
             hint = f"give even numbers, at least {FEWEST_AROUND} around and {FEWEST_ACROSS} across"
-            raise ConfigError(what, hint=hint)
+            raise SettingError("cells_around", what, hint)
 
     @property
     def arc(self) -> float:

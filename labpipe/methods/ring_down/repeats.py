@@ -205,9 +205,9 @@ def with_repeats(
     """The parameters of the modes as means of the decays, each with its 95 % interval, its repeats and their
     spread.
 
-    ln f and ln zeta have a mean and an interval; ln delta = ln zeta + ..., ln k = 2 ln f + ..., ln c = ln f +
-    ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the fit, *mass* [kg] of k and
-    c. Equation (repeats-mean).
+    ln f and ln zeta have a mean and an interval; ln delta = ln zeta / (1 - zeta^2) + ..., ln k = 2 ln f +
+    ..., ln c = ln f + ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the fit,
+    *mass* [kg] of k and c. Equation (repeats-mean).
     """
     entries: dict[str, Parameter] = {}
     n_mode = len(repeated.means)

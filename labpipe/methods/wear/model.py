@@ -135,7 +135,7 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     rig = _centre(settings.rig, centre)
     worn = "" if settings.healthy else rig.place(settings.bearing).name
     ranges, box = _reach(settings, prior, rig)
-    loads, mesh = rig.static_loads(), FilmMesh(settings.cells_around, settings.cells_across)
+    loads, mesh = rig.static_loads(), settings.mesh
     bearings = tuple(
         tables.tabulate(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh)
         for place in rig.bearings

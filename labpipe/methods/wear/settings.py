@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import FitSettings, ModelKind
+from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
@@ -129,6 +130,7 @@ class WearSettings(Settings):
             hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
             raise SettingError("healthy", "nothing to tune", hint)
         self._check_nuisances()
+        assert self.mesh
         if self.rig is not None and not self.healthy:
             worn_place(self.rig, self.bearing)
 
@@ -142,6 +144,11 @@ class WearSettings(Settings):
             elif nuisance.std_error > 0.25 * nuisance.value:
                 what = f"standard error of '{name}' above 25 %"
                 raise SettingError(name, what, "give a smaller uncertainty")
+
+    @property
+    def mesh(self) -> FilmMesh:
+        """The cells of the tables' films; ConfigError where they cannot be solved."""
+        return FilmMesh(self.cells_around, self.cells_across)
 
     @property
     def nuisances(self) -> tuple[str, ...]:

@@ -69,6 +69,7 @@ class VirtualJournalRig(Settings):
     def __post_init__(self) -> None:
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
+        assert self.mesh
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
         self.require_positive("force", "bandwidth", "sample_rate", "duration")

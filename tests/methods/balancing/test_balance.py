@@ -298,6 +298,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
             {"planes": {"left": {"angles": ["0 deg", "360 deg", "9 deg"], "radius": "1 m"}, "right": {}}},
             "an angle is named twice",
         ),
+        ({"runs": ["as found"]}, "runs.1: a mapping of keys to values is needed"),
         ({"planes": {}, "runs": [{"readings": {"A": "8 um at 0 deg"}}]}, "planes: a plane is needed"),
         ({"planes": ["left", "right", "left"]}, "planes: 'left' is named twice"),
         ({"repeatability": "-2 %"}, "repeatability: repeatability must not be negative"),
