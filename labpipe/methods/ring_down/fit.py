@@ -336,14 +336,12 @@ def _check(settings: FitSettings, each: bool) -> None:
 def _check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
     """FitError for few degrees of freedom, and for a mode that noise explains.
 
-    The largest of n lines of noise has chi-square 2 ln(n / p) with the chance p; a free damping finds more,
-    as if there were MORE_LINES times as many.
+    A free damping finds more than the largest line, as if there were MORE_LINES times as many.
     """
     if fitted.dof < FEW_DOF:
         hint = "a longer decay, fewer `modes`, or a wider `band`"
         raise FitError(f"the decays leave {fitted.dof} degrees of freedom", hint=hint)
-    rows = sum(piece.rows.size for piece in pieces)
-    weak = likelihood.energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
+    weak = MORE_LINES * likelihood.noise_chance(pieces, fitted) > MISMATCH_P
     if np.any(weak):
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[weak])
         hint = "fewer `modes`, another `band`, or stronger hits"

@@ -223,6 +223,15 @@ def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     return total
 
 
+def noise_chance(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
+    """Chance (n_mode,) [1] by which noise alone would give a mode so much energy on one of all rows, at most.
+
+    The amplitude of every output of every piece is free: chi-square with two degrees of freedom for each.
+    """
+    rows, dof = sum(piece.rows.size for piece in pieces), 2 * fitted.variance.size
+    return np.array([rows * chi2_tail(energy, dof) for energy in energies(pieces, fitted).tolist()])
+
+
 def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps: int) -> Decayed:
     order = np.argsort(poles.imag)
     variance = _variances(solved, poles.size)

@@ -25,7 +25,7 @@ from labpipe.estimation.repeats import (
 )
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import restated, student_limit
-from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely
+from labpipe.methods.ring_down.likelihood import Decayed, Piece, most_likely, noise_chance
 from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.spectra import FreeDecays
 
@@ -106,7 +106,7 @@ def repeated_decays(
                 raise FitError("its fit does not converge")
             if np.any(fitted.poles.real >= 0):
                 raise FitError("it does not decay")
-            if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
+            if np.any(noise_chance([piece], fitted) > MISMATCH_P):
                 raise FitError("a mode of it is noise")
             fits[number] = fitted
         except FitError as error:
