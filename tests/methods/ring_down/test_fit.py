@@ -339,5 +339,5 @@ def test_what_noise_gives_several_decays_together_is_no_mode() -> None:
     found = maximum_likelihood(pieces, np.array([-10.0 + 2j * np.pi * 105.0]))
     (energy,), rows = energies(pieces, found), sum(piece.rows.size for piece in pieces)
     assert noise_chance(pieces, found) == pytest.approx([rows * stats.chi2.sf(energy, 12)], rel=1e-9)
-    with pytest.raises(FitError, match="what would be a mode at .* Hz is noise"):
+    with pytest.raises(FitError, match="what would be a mode at"):
         _check_fitted(pieces, found)
