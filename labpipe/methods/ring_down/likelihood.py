@@ -432,13 +432,10 @@ def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None,
 
 
 LAGS = 32
-# Rows of a piece for each lag: the residual lacks what its parameters took, which must stay small against a
-# lag.
+# Rows of a piece for each lag: what the parameters took of the residual must stay small against a lag.
 ROWS_PER_LAG = 8
 # Singular value of the columns of a test below which one of them is a sum of the others.
 DEPENDENT = 1e-6
-
-
 # Mean square of a residual at the end over that at the beginning from which it goes on.
 GOES_ON = 0.5
 

@@ -186,12 +186,8 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
         if not active.any():
             return u, solved
         if not active.all():
-            unsolved, problem, trial, step = (
-                unsolved[active],
-                problem.of_cases(active),
-                trial.of_cases(active),
-                step[active],
-            )
+            unsolved, step = unsolved[active], step[active]
+            problem, trial = problem.of_cases(active), trial.of_cases(active)
         u[unsolved] = line_search(problem, trial, step)
     return u, solved
 
