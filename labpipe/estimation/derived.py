@@ -355,10 +355,9 @@ def _with_given(
 
 def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
     """The values alone."""
-    return tuple(
-        replace(parameter, std_error=None, t_ratio=None, ci95=None, significant=None)
-        for parameter in parameters
-    )
+    names = ("std_error", "std_error_inflated", "t_ratio", "ci95", "significant", "interval")
+    empty: dict[str, Any] = dict.fromkeys(names)
+    return tuple(replace(parameter, **empty) for parameter in parameters)
 
 
 def widened_parameters(

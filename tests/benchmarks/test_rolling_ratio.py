@@ -15,7 +15,8 @@ import pytest
 from scipy import optimize
 
 from labpipe.methods.rolling_bearing.equilibrium import equilibrium
-from labpipe.methods.rolling_bearing.loads import RollingBearing, bearing_loads, bearing_stiffness
+from labpipe.methods.rolling_bearing.loads import RollingBearing
+from tests.methods.rolling_bearing.displaced_rings import bearing_loads, bearing_stiffness
 
 BEARING = RollingBearing(9, 1.10e10, 30.1488e-3, groove_distance=5.953e-4)
 N_TOGETHER, N_LOOP = 10_000, 200

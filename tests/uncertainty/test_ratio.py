@@ -10,11 +10,13 @@ import pytest
 from labpipe.errors import FitError
 from labpipe.methods.rolling_bearing.ratio import (
     Matched,
+    log_covariance,
     ratio_of_tests,
     rayleigh,
     rayleigh_of_tests,
     stiffness_ratio,
 )
+from labpipe.records.finding import Parameter
 from labpipe.uncertainty.compare import Evidence
 from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
@@ -150,3 +152,35 @@ def test_a_fit_without_damping_is_refused() -> None:
                 Matched(np.log([1.1, 2e-5]), np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.ones(2)),
             ],
         )
+
+
+def test_what_repeats_scatter_by_counts_and_given_coefficients_are_refused() -> None:
+    """beta of two tests whose inflated errors are three times those of noise: three times sqrt(2) / 2 of
+    those, as in the test of proportional damping. A derived c was given, and says nothing of damping.
+    """
+    plain = series(RAYLEIGH)
+    wider = replace(
+        plain,
+        observations=tuple(
+            replace(one, fit=replace(one.fit, parameters=tuple(inflated(p) for p in one.fit.parameters)))
+            for one in plain.observations
+        ),
+    )
+    errors = [rayleigh(tests, None).amount("beta").std_error for tests in (plain, wider)]
+    assert errors[1] == pytest.approx(3 * 2e-5 * np.hypot(1e-3, 2e-3) / np.sqrt(2), rel=1e-9)
+    assert errors[1] == pytest.approx(3 * errors[0], rel=1e-9)
+    k, c = plain.observations[0].fit.parameters
+    given = replace(plain.observations[0].fit, parameters=(k, replace(c, derived=True, std_error=None)))
+    with pytest.raises(FitError, match="c of test t0 has no standard error of its own"):
+        log_covariance(given)
+    with pytest.raises(FitError, match="c of test t0 is missing"):
+        log_covariance(replace(given, parameters=(k,)))
+
+
+def test_a_negative_damping_has_no_logarithm() -> None:
+    with pytest.raises(FitError, match="c of test t0 is -200"):
+        rayleigh(series(RAYLEIGH, damping=(-200.0, 400.0)), None)
+
+
+def inflated(parameter: Parameter) -> Parameter:
+    return replace(parameter, std_error_inflated=3 * parameter.std_error)

@@ -10,9 +10,10 @@ from functools import cache, partial
 import numpy as np
 from scipy import integrate
 
-from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium, load_vector
+from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing, modes, sdof_stiffness
 from labpipe.methods.rolling_bearing.settings import BallGeometry, Material, point_contact
+from tests.methods.rolling_bearing.displaced_rings import load_vector
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
 

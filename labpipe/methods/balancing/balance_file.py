@@ -31,13 +31,15 @@ from labpipe.records.settings import Settings, parse_phasor, quantity, setting
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
+# Weights by plane and readings by line of a run.
+Vectors = tuple[dict[str, complex], dict[str, complex]]
 
 
 @dataclass(frozen=True)
 class BalanceSettings(Settings):
     """The plain entries of a balance file; planes and runs are read by themselves."""
 
-    title: str = setting("text", "title of the report", default="")
+    title: str = setting("text", "title of the result", default="")
     _: KW_ONLY
     repeatability: float = quantity(
         "scatter of a reading when nothing is changed, as a share of it (standard)", "1", 0.02
@@ -70,7 +72,7 @@ class BalanceSettings(Settings):
 class PlaneSettings(Settings):
     """One entry of ``planes:``: where weights can be set in it."""
 
-    radius: float | None = quantity("at which weights are set; needed for masses", "m", None)
+    radius: float | None = quantity("at which weights are set, for masses", "m", None)
     places: int = setting("integer", "evenly spread places for weights; 0: any angle", default=0)
     first: float = quantity("angle of the first place", "rad", 0.0)
     angles: tuple[float, ...] = setting("values", "or places at these angles", unit="rad", default=())
@@ -99,9 +101,7 @@ class PlaneSettings(Settings):
 
 @dataclass(frozen=True)
 class BalanceFile:
-    """A balance file; *planes* and *lines* (sensor, or sensor at a speed) by name; *unit* of all readings;
-    *prior*: what a model says.
-    """
+    """*planes* and *lines* (sensor, or sensor at a speed) by name; *unit* of readings; *prior* of a model."""
 
     path: Path
     settings: BalanceSettings
@@ -143,13 +143,6 @@ def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Infl
     return replace(modelled, narrow=narrow), lines
 
 
-def polar(text: str, unit: str) -> complex:
-    """A vector `8.5 um at 60 deg` in the SI *unit*; UnitError where it is none."""
-    if " at " not in text:
-        raise UnitError(f"'{text}' is no vector", f"write it as 12 {unit} at 30 deg")
-    return parse_phasor(text, unit)
-
-
 def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     """The content of a balance file; ConfigErrors with every fault at its place."""
     tree = load_marked(path, overrides)
@@ -160,7 +153,7 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     planes, read = _planes(entries["planes"], faults) if "planes" in entries else {}, len(faults)
     if not (planes or read):
         faults.add(entries.get("planes", tree), "planes", "a plane is needed", "planes: [left, right]")
-    named: dict[str, tuple[dict[str, complex], dict[str, complex]]] = {}
+    named: dict[str, Vectors] = {}
     units: dict[str, str] = {}
     nodes = entries["runs"].content if "runs" in entries else []
     alone = settings is not None and bool(settings.model)
@@ -169,36 +162,46 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
         nodes = []
     for number, node in enumerate(nodes, 1):
         _read_run(node, join("runs", str(number)), planes, units, named, faults)
+    unit = units.get("", "m")
+    floor = _floor(entries["noise"], unit, faults) if settings is not None and settings.noise else 0.0
     faults.raise_any()
     assert settings is not None
-    unit = next(iter(units.values()), "m")
-    try:
-        noise = Noise(parse_value(settings.noise, unit) if settings.noise else 0.0, settings.repeatability)
-    except UnitError as error:
-        raise ConfigError(f"noise: {error.what}", path, error.hint) from None
+    noise = Noise(floor, settings.repeatability)
     lines = tuple(dict.fromkeys(line for _, readings in named.values() for line in readings))
     prior = None
     if settings.model:
         if unit != "m":
             raise ConfigError("a model needs readings of displacement", path, "in um")
         prior, lines = model(path.parent / settings.model, list(planes), lines)
+    if settings.grade is not None and len(lines) < len(planes):
+        what = f"grade: {len(lines)} reading(s) do not tell the unbalance in {len(planes)} planes"
+        raise ConfigError(what, entries["grade"].place, "more sensors or speeds, or no grade")
     missing = complex(np.nan, np.nan)
     runs = tuple(
         Run(
             name,
-            np.array([weights.get(plane, 0j) for plane in planes]),
-            np.array([readings.get(line, missing) for line in lines]),
+            np.array([w.get(plane, 0j) for plane in planes]),
+            np.array([z.get(line, missing) for line in lines]),
         )
-        for name, (weights, readings) in named.items()
+        for name, (w, z) in named.items()
     )
     _check_noise(path, runs, lines, noise)
     return BalanceFile(path, settings, planes, lines, unit, runs, noise, prior)
 
 
+def _floor(node: Marked, unit: str, faults: Faults) -> float:
+    try:
+        floor = parse_value(node.text, unit)
+    except UnitError as error:
+        faults.add_unit(node, "noise", error)
+        return 0.0
+    if floor < 0:
+        faults.add(node, "noise", "a scatter is not negative")
+    return floor
+
+
 def _check_noise(path: Path, runs: Sequence[Run], lines: Sequence[str], noise: Noise) -> None:
     """ConfigError for a reading without scatter: it would outweigh all others."""
-    if noise.floor < 0:
-        raise ConfigError("noise: a scatter is not negative", path)
     for run in runs:
         for line, variance in zip(lines, noise.variance(run.readings), strict=True):
             if variance == 0:
@@ -225,17 +228,18 @@ def _read_run(
     key: str,
     planes: dict[str, PlaneSettings],
     units: dict[str, str],
-    named: dict[str, tuple[dict[str, complex], dict[str, complex]]],
+    named: dict[str, Vectors],
     faults: Faults,
 ) -> None:
     """Add a run to *named*; readings of all runs have the dimension of the first."""
     entries = faults.mapping(node, key)
+    if not isinstance(node.content, dict):
+        return
     faults.unknown_keys(node, key, ("name", "weights", "readings"))
     vectors: dict[str, dict[str, complex]] = {"weights": {}, "readings": {}}
     for part, into in vectors.items():
-        for name, entry in (
-            faults.mapping(entries[part], join(key, part)) if part in entries else {}
-        ).items():
+        given = faults.mapping(entries[part], join(key, part)) if part in entries else {}
+        for name, entry in given.items():
             place = join(key, part, name)
             if part == "weights" and name not in planes:
                 faults.add(entry, place, "there is no such plane", f"planes: {', '.join(planes) or 'none'}")
@@ -243,10 +247,13 @@ def _read_run(
             try:
                 if part == "readings":
                     units.setdefault("", _si_of(entry.text))
-                into[name] = polar(entry.text, "kg.m" if part == "weights" else units[""])
+                unit = "kg.m" if part == "weights" else units[""]
+                if " at " not in entry.text:
+                    raise UnitError(f"'{entry.text}' is no vector", f"write it as 12 {unit} at 30 deg")
+                into[name] = parse_phasor(entry.text, unit)
             except UnitError as error:
                 faults.add_unit(entry, place, error)
-    if not vectors["readings"]:
+    if "readings" not in entries or entries["readings"].content == {}:
         faults.add(node, join(key, "readings"), "are missing", "readings: {A: 8.5 um at 60 deg}")
     name = entries["name"].text if "name" in entries else f"run {len(named) + 1}"
     if name in named:
@@ -267,8 +274,8 @@ def _si_of(text: str) -> str:
 
 @dataclass(frozen=True)
 class Balanced:
-    """What follows: *known* influence, *weights* (n_plane,) [kg m] and, where there are places, the *masses*
-    [kg] of each plane by angle [rad]; the *residual*; what is expected after each of *next_runs* [unit of the
+    """What follows: *knowledge* of the influence, *weights* (n_plane,) [kg m] and, of planes with a radius,
+    *masses* [kg] by angle [rad]; the *residual*; what is expected after each of *next_runs* [unit of the
     readings].
     """
 
@@ -281,7 +288,7 @@ class Balanced:
 
     @property
     def permissible(self) -> float | None:
-        """Permissible residual unbalance of the rotor [kg m]; None where no grade is asked for."""
+        """Unbalance [kg m] that the grade permits to remain; None without a grade."""
         settings = self.file.settings
         if settings.grade is None or settings.mass is None or settings.speed is None:
             return None
@@ -300,39 +307,48 @@ def balanced(file: BalanceFile) -> Balanced:
     except DataError as error:
         error.where = error.where or str(file.path)
         raise
-    weights, masses = best_weights(knowledge.square), {}
-    if any(plane.at.size for plane in file.planes.values()):
-        places = [_places(name, plane) for name, plane in file.planes.items()]
-        chosen = placed_weights(knowledge, places)
-        weights = np.zeros(len(places), np.complex128)
-        for number, (name, mass, place) in enumerate(zip(file.planes, chosen, places, strict=True)):
-            weights[number] = place.radius * (mass @ np.exp(1j * place.angles))
-            set_here = zip(place.angles.tolist(), mass.tolist(), strict=True)
-            masses[name] = tuple((angle, size) for angle, size in set_here if size > 0)
+    weights, masses = _chosen(file, knowledge)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))
+    units = trial * np.eye(len(file.planes), dtype=np.complex128)
     candidates = {
-        f"a trial weight in plane {name}": trial * np.eye(len(file.planes))[number].astype(complex)
-        for number, name in enumerate(file.planes)
+        f"a trial weight in plane {name}": unit for name, unit in zip(file.planes, units, strict=True)
     }
     candidates["the weights themselves"] = weights
     expected = next_runs(knowledge, file.noise, candidates)
     return Balanced(file, knowledge, weights, masses, residual_of(knowledge, weights, file.noise), expected)
 
 
+def _chosen(
+    file: BalanceFile, knowledge: Influence
+) -> tuple[ComplexArray, dict[str, tuple[tuple[float, float], ...]]]:
+    planes = file.planes.items()
+    if not any(plane.at.size for _, plane in planes):
+        weights = best_weights(knowledge.square)
+        angles, sizes = (np.angle(weights) % (2 * np.pi)).tolist(), np.abs(weights).tolist()
+        rows = zip(planes, angles, sizes, strict=True)
+        return weights, {n: ((angle, size / p.radius),) for (n, p), angle, size in rows if p.radius}
+    places = [_places(*entry) for entry in planes]
+    sets = list(zip(file.planes, places, placed_weights(knowledge, places), strict=True))
+    masses = {name: np.stack([at.angles, mass], axis=1)[mass > 0] for name, at, mass in sets}
+    weights = np.array([at.radius * (mass @ np.exp(1j * at.angles)) for _, at, mass in sets])
+    return weights, {name: tuple(map(tuple, rows.tolist())) for name, rows in masses.items()}
+
+
 def _places(name: str, plane: PlaneSettings) -> Places:
     if not plane.at.size or plane.radius is None:
-        raise ConfigError(
-            f"planes.{name}: 'places' are needed where another plane has them", hint="places: 12"
-        )
+        what = f"planes.{name}: 'places' are needed where another plane has them"
+        raise ConfigError(what, hint="places: 12")
     return Places(plane.at, plane.radius, np.inf if plane.largest is None else plane.largest)
 
 
 def balance_entry(result: Balanced) -> dict[str, Any]:
     """The result as `labpipe balance --json` writes it, SI units, angles in rad."""
     residual, file = result.residual, result.file
+    by_line = zip(file.lines, residual.amplitudes, residual.low, residual.high, strict=True)
     return {
         "schema": "labpipe/balance/1",
+        "title": file.settings.title,
         "weights": [
             {
                 "plane": name,
@@ -351,13 +367,13 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         },
         "readings": [
             {"name": name, "expected": float(middle), "ci95": [float(low), float(high)]}
-            for name, middle, low, high in zip(
-                file.lines, residual.amplitudes, residual.low, residual.high, strict=True
-            )
+            for name, middle, low, high in by_line
         ],
         "unbalance_left": [
             {"plane": name, "upper95": float(upper), "unit": "kg.m"}
             for name, upper in zip(file.planes, residual.unbalance, strict=True)
+            # Fewer readings than planes tell the least of all unbalances that explain them.
+            if len(file.lines) >= len(file.planes)
         ],
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},

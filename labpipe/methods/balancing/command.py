@@ -47,22 +47,25 @@ def sentences(result: Balanced) -> Iterator[str]:
     from labpipe.display import plain_text
     from labpipe.distributions import chi2_tail
 
-    file, residual = result.file, result.residual
+    file, residual, knowledge = result.file, result.residual, result.knowledge
+
+    def text(value: float) -> str:
+        return plain_text(value, file.unit, 3)
+
     for name, weight in zip(file.planes, result.weights, strict=True):
         angle = np.degrees(np.angle(weight)) % 360
         yield f"plane {name}: {1e6 * abs(weight):.4g} g mm at {angle:.1f} deg"
         for place, mass in result.masses.get(name, ()):
             yield f"  {1e3 * mass:.3g} g at {np.degrees(place) % 360:.1f} deg"
-    low, high = (plain_text(end, file.unit, 3) for end in residual.interval)
+    low, high = residual.interval
     yield (
-        f"vibration (rms of {len(file.lines)} readings): {plain_text(residual.before, file.unit, 3)} as "
-        f"found, {plain_text(residual.rms, file.unit, 3)} expected with the weights (95 %: {low} to {high})"
+        f"vibration (rms of {len(file.lines)} readings): {text(residual.before)} as found, "
+        f"{text(residual.rms)} expected with the weights (95 %: {text(low)} to {text(high)})"
     )
-    for name, middle, first, last in zip(
+    for name, middle, low, high in zip(
         file.lines, residual.amplitudes, residual.low, residual.high, strict=True
     ):
-        ends = f"{plain_text(first, file.unit, 3)} to {plain_text(last, file.unit, 3)}"
-        yield f"  {name}: {plain_text(middle, file.unit, 3)} (95 %: {ends})"
+        yield f"  {name}: {text(middle)} (95 %: {text(low)} to {text(high)})"
     if result.permissible is not None:
         most = float(np.sum(residual.unbalance))
         word = "within" if most <= result.permissible else "beyond"
@@ -70,16 +73,15 @@ def sentences(result: Balanced) -> Iterator[str]:
             f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
             f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
         )
-    knowledge = result.knowledge
     if knowledge.dof and chi2_tail(knowledge.misfit, knowledge.dof) < UNLIKELY:
         yield (
             f"warning: the readings scatter more than was stated (chi-square {knowledge.misfit:.3g} of "
             f"{knowledge.dof}): the rig is not linear, changed between runs, or repeats less well"
         )
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
-    if result.next_runs[best] < WORTHWHILE * residual.rms:
-        left = plain_text(result.next_runs[best], file.unit, 3)
-        share = 100 * result.next_runs[best] / residual.rms
-        yield f"one more run with {best} first is expected to leave {left}, {share:.0f} % of that"
+    least = result.next_runs[best]
+    if least < WORTHWHILE * residual.rms:
+        share = 100 * least / residual.rms
+        yield f"one more run with {best} first is expected to leave {text(least)}, {share:.0f} % of that"
     else:
         yield "one more run is not expected to lower it by a fifth"

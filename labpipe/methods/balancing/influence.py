@@ -56,8 +56,7 @@ class Influence:
     """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m], and the
     *joint* covariance (n, n) of all their real parts and then all imaginary parts, row by row; *misfit*
     chi-square of the readings, its *dof*; *modelled*: whether a model says what unbalance in the planes does.
-    narrow: the same without what doubt of the model has widened: what is left grows with the spread, so that
-    the lower ends follow from it.
+    narrow: the same without what doubt of the model has widened, for the lower ends of what is left.
     """
 
     mean: ComplexArray
@@ -72,11 +71,8 @@ class Influence:
         """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [products of the units of
         the mean].
         """
-        parts = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape)
-        real, crossed, across, imaginary = (
-            np.einsum("lilj->lij", parts[row, :, :, column]) for row in range(2) for column in range(2)
-        )
-        return np.asarray(real + imaginary + 1j * (across - crossed))
+        parts, turn = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape), np.array([1, 1j])
+        return np.asarray(np.einsum("p,pliqlj,q->lij", turn, parts, turn.conj()))
 
     @property
     def square(self) -> ComplexArray:
@@ -109,13 +105,7 @@ class Influence:
         """
         whole, places = np.concatenate([[1.0], weights]), np.arange(lines.size)
         seen = np.zeros((2, lines.size, 2, *self.mean.shape))
-        for row, column, part in (
-            (0, 0, whole.real),
-            (0, 1, -whole.imag),
-            (1, 0, whole.imag),
-            (1, 1, whole.real),
-        ):
-            seen[row, places, column, lines] = part
+        seen[:, places, :, lines] = [[whole.real, -whole.imag], [whole.imag, whole.real]]
         seen = seen.reshape(2 * lines.size, -1)
         spread = seen @ self.joint @ seen.T + np.diag(np.tile(variance / 2, 2))
         gain = np.linalg.solve(spread, seen @ self.joint).T
@@ -172,9 +162,7 @@ def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None)
 
 
 def square_of(drawn: ComplexArray) -> ComplexArray:
-    """The same by draws of z_0 and alpha (n, n_line, n_plane + 1) [unit of the readings, per kg m], their
-    sum.
-    """
+    """Q of draws of z_0 and alpha (n, n_line, n_plane + 1) [unit of the readings, per kg m], summed."""
     rows = drawn.reshape(-1, drawn.shape[-1])
     return np.asarray(rows.conj().T @ rows)
 
@@ -211,13 +199,10 @@ def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[Float
     """
     square, linear = knowledge.square[1:, 1:], knowledge.square[1:, 0]
     directions = [place.radius * np.exp(1j * place.angles) for place in places]
-    onto = np.zeros((len(places), sum(d.size for d in directions)), np.complex128)
-    ends = np.cumsum([0, *(direction.size for direction in directions)])
-    for plane, direction in enumerate(directions):
-        onto[plane, ends[plane] : ends[plane + 1]] = direction
     root = np.linalg.cholesky(square).conj().T
-    rows, side = root @ onto, -np.linalg.solve(root.conj().T, linear)
-    largest = np.concatenate([np.full(place.angles.size, place.largest) for place in places])
+    rows, side = root @ scipy.linalg.block_diag(*directions), -np.linalg.solve(root.conj().T, linear)
+    numbers = [place.angles.size for place in places]
+    largest = np.repeat([place.largest for place in places], numbers)
     scale = float(np.max(np.abs(rows)))
     reached = scipy.optimize.lsq_linear(
         np.concatenate([rows.real, rows.imag]) / scale,
@@ -229,16 +214,17 @@ def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[Float
     ).x
     # Many masses make one vector: the least of them stand in two places, and in those that are full.
     masses = []
-    for plane, (direction, place) in enumerate(zip(directions, places, strict=True)):
-        target = direction @ reached[ends[plane] : ends[plane + 1]]
-        ends_of_mass = (0.0, place.largest if np.isfinite(place.largest) else None)
+    for direction, place, found in zip(
+        directions, places, np.split(reached, np.cumsum(numbers)[:-1]), strict=True
+    ):
+        target = direction @ found
         least = scipy.optimize.linprog(
             np.ones(direction.size),
             A_eq=np.array([direction.real, direction.imag]) / place.radius,
             b_eq=np.array([target.real, target.imag]) / place.radius,
-            bounds=ends_of_mass,
+            bounds=(0.0, place.largest),
         )
-        masses.append(least.x if least.success else reached[ends[plane] : ends[plane + 1]])
+        masses.append(least.x if least.success else found)
     return masses
 
 
@@ -261,27 +247,24 @@ class Residual:
 def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Residual:
     """The vibration with *weights* (n_plane,) [kg m] set, as a reading shows it, by draws."""
     drawn = knowledge.draws()
-    whole = np.concatenate([[1.0], weights])
-    left = _drawn_residual(knowledge, drawn, whole)
+    left = _drawn_residual(knowledge, drawn, np.concatenate([[1.0], weights]))
     rng = np.random.default_rng(SEED + 1)
     spread = np.sqrt(noise.variance(left) / 2)
     left = left + spread * (rng.standard_normal(left.shape) + 1j * rng.standard_normal(left.shape))
-    rms = np.sqrt(np.mean(np.abs(left) ** 2, axis=1))
-    low, high = np.percentile(np.abs(left), COVERED, axis=0)
-    ends = np.percentile(rms, COVERED)
+    sizes = np.abs(left)
+    low, high = np.percentile(sizes, COVERED, axis=0)
+    first, last = np.percentile(np.sqrt(np.mean(sizes**2, axis=1)), COVERED).tolist()
     before = float(np.sqrt(np.mean(np.abs(knowledge.mean[:, 0]) ** 2)))
-    unbalance = _made_by_planes(drawn[:400]) + weights
-    upper = np.percentile(np.abs(unbalance), 95, axis=0)
-    amplitudes = np.sqrt(np.mean(np.abs(left) ** 2, axis=0))
-    interval = (float(ends[0]), float(ends[1]))
+    upper = np.percentile(np.abs(_made_by_planes(drawn[:400]) + weights), 95, axis=0)
     if knowledge.narrow is not None:
         below = residual_of(knowledge.narrow, weights, noise)
-        interval, low = (min(interval[0], below.interval[0]), interval[1]), np.minimum(low, below.low)
-    return Residual(float(np.sqrt(np.mean(rms**2))), interval, before, amplitudes, low, high, upper)
+        first, low = min(first, below.interval[0]), np.minimum(low, below.low)
+    rms, amplitudes = float(np.sqrt(np.mean(sizes**2))), np.sqrt(np.mean(sizes**2, axis=0))
+    return Residual(rms, (first, last), before, amplitudes, low, high, upper)
 
 
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
-    """pinv(alpha) z_0 of draws (n, n_line, n_plane + 1): what vibrates most alike, (n, n_plane) [kg m]."""
+    """pinv(alpha) z_0 of draws: what vibrates most alike, (n, n_plane) [kg m]."""
     return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.journal_bearing.film import (
     Film,
     FilmMesh,
@@ -38,6 +38,7 @@ THINNEST = 1e-6
 # First guess: this eccentricity ratio in the direction of the load.
 FIRST_ECCENTRICITY = 0.3
 NO_EQUILIBRIUM = "no equilibrium of the journal in its oil film was found"
+NO_LOAD = "a journal bearing needs a load for its equilibrium"
 CHECK_LOAD = "the load may be too high for the film; check load, viscosity, speed and clearance"
 
 
@@ -89,22 +90,15 @@ def film_equilibrium(
 
 
 def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
-    coarse = film.coarser() if film.mesh.around * film.mesh.across >= MANY_CELLS else None
-    if (
-        coarse is None
-        or near.coarse is None
-        or near.coarse.pressure.shape != (coarse.mesh.around, coarse.mesh.across // 2)
-    ):
+    coarse, before = film.coarser(), near.coarse
+    many = film.mesh.around * film.mesh.across >= MANY_CELLS
+    if not many or coarse is None or before is None or before.pressure.shape != _ambient(coarse).shape:
         return replace(near, coarse=None)
-    state = film_equilibrium(coarse, load, near.coarse, START_TOLERANCE)
+    state = film_equilibrium(coarse, load, before, START_TOLERANCE)
     around, across = interpolation(coarse.mesh, film.mesh)
-    pressure = near.pressure + around @ (state.pressure - near.coarse.pressure) @ across
-    return replace(
-        near,
-        displacement=near.displacement + state.displacement - near.coarse.displacement,
-        pressure=pressure,
-        coarse=state,
-    )
+    pressure = near.pressure + around @ (state.pressure - before.pressure) @ across
+    displacement = near.displacement + state.displacement - before.displacement
+    return replace(near, displacement=displacement, pressure=pressure, coarse=state)
 
 
 def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, FilmState | None]:
@@ -164,14 +158,13 @@ def _balance(
         pressure = pressure - part * factors.solve(side[None])[0]
         if np.max(np.abs(change)) < tolerance:
             force = film.force_weights @ pressure.sum(axis=1)
-            return FilmState(
-                displacement, pressure, force, stiffness, film.force_weights @ squeezed.sum(axis=2).T, step
-            )
+            damping = film.force_weights @ squeezed.sum(axis=2).T
+            return FilmState(displacement, pressure, force, stiffness, damping, step)
     raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
 
 
 def _squeeze(film: Film) -> FloatArray:
-    """Derivative of 2 dh/d(Omega t) by the journal's velocity, (2, n_theta, n_half) [-]."""
+    """Derivative of 2 dh/d(Omega t) by the journal's velocity."""
     return np.broadcast_to(2 * film.grid.at_centre[:, :, None], (2, film.mesh.around, film.mesh.across // 2))
 
 
@@ -201,30 +194,22 @@ class JournalBearing:
 
     def __post_init__(self) -> None:
         for name in ("diameter", "length", "clearance", "viscosity"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"the {name} of a journal bearing is positive, not {getattr(self, name):g}")
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise SettingError(name, f"the {name} of a journal bearing is positive, not {value:g}")
         if not 0 <= self.wear_depth < 2 * self.clearance:
-            raise ConfigError(
-                f"a wear of {self.wear_depth * 1e6:g} um does not fit a clearance of "
-                f"{self.clearance * 1e6:g} um",
-                hint="from zero to less than twice the radial clearance",
-            )
+            depth, clearance = 1e6 * self.wear_depth, 1e6 * self.clearance
+            what = f"a wear of {depth:g} um does not fit a clearance of {clearance:g} um"
+            raise SettingError("wear", what, "from zero to less than twice the radial clearance")
         if not abs(self.wear_angle) <= np.pi:
-            raise ConfigError(
-                f"a wear angle of {np.degrees(self.wear_angle):g} deg is none",
-                hint="from -180 to 180 deg from the bottom",
-            )
+            what = f"a wear angle of {np.degrees(self.wear_angle):g} deg is none"
+            raise SettingError("wear", what, "from -180 to 180 deg from the bottom")
         if not -np.inf < self.cavitation_pressure <= 0:
-            raise ConfigError(
-                f"a cavitation pressure of {self.cavitation_pressure:g} Pa is above the ambient pressure",
-                hint="give zero or less",
-            )
-
+            what = f"{self.cavitation_pressure:g} Pa is above the ambient pressure"
+            raise SettingError("cavitation_pressure", what, "give zero or less")
         if not 0 <= self.groove_width <= WIDEST_GROOVE:
-            raise ConfigError(
-                f"a groove of {np.degrees(self.groove_width):g} deg is none",
-                hint="from 0 to 120 deg, one on either side",
-            )
+            what = f"a groove of {np.degrees(self.groove_width):g} deg is none"
+            raise SettingError("groove_width", what, "from 0 to 120 deg, one on either side")
 
     def pressure_scale(self, speed: float) -> float:
         """6 mu Omega (R / c)^2 [Pa]; *speed* [rad/s]. Equation (jour-pressure-scale)."""
@@ -299,9 +284,8 @@ class JournalEquilibrium:
     @property
     def damping(self) -> FloatArray:
         """C = -dF/dx' [N s/m], (2, 2), symmetric. Equation (jour-damping)."""
-        return self.state.damping * (
-            self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed)
-        )
+        scale = self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed)
+        return self.state.damping * scale
 
     def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
         """A start value beside this equilibrium: its state moved as that of *second* differs from that of
@@ -315,11 +299,9 @@ class JournalEquilibrium:
         needed.
         """
         mesh = self.mesh.halved()
-        return (
-            None
-            if self.state.coarse is None or mesh is None
-            else replace(self, mesh=mesh, state=self.state.coarse, error=None)
-        )
+        if self.state.coarse is None or mesh is None:
+            return None
+        return replace(self, mesh=mesh, state=self.state.coarse, error=None)
 
     @property
     def theta(self) -> FloatArray:
@@ -340,10 +322,8 @@ class JournalEquilibrium:
     @property
     def film_thickness(self) -> FloatArray:
         """Film thickness [m], (n_theta,)."""
-        return (
-            self.bearing.film(self.speed, self.mesh).thickness(self.state.displacement)[0]
-            * self.bearing.clearance
-        )
+        film = self.bearing.film(self.speed, self.mesh)
+        return film.thickness(self.state.displacement)[0] * self.bearing.clearance
 
 
 def journal_equilibrium(
@@ -361,9 +341,7 @@ def journal_equilibrium(
     when there is no equilibrium.
     """
     if not 0 < np.hypot(*load) < np.inf:
-        raise ConfigError(
-            "a journal bearing needs a load for its equilibrium", hint="give the static load in newtons"
-        )
+        raise ConfigError(NO_LOAD, hint="give the static load in newtons")
     start = near.state if near is not None and near.mesh == mesh else None
     scaled = np.asarray(load, np.float64) / bearing.force_scale(speed)
     state = film_equilibrium(bearing.film(speed, mesh), scaled, start, tolerance)
@@ -382,21 +360,13 @@ def converged_equilibrium(
     half the cells each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a
     first mesh that cannot be halved. Equation (jour-mesh).
     """
-    half = mesh.halved()
-    if half is None:
-        raise ConfigError(
-            f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve",
-            hint="start from 48 x 8 cells or more",
-        )
-    coarse = journal_equilibrium(bearing, load, speed, half)
+    coarse = journal_equilibrium(bearing, load, speed, mesh.half())
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
         pairs = ((coarse.stiffness, fine.stiffness), (coarse.damping, fine.damping))
         error = max(float(np.max(np.abs(a - b)) / np.max(np.abs(b))) for a, b in pairs) / 3
         if error <= tolerance:
-            return JournalEquilibrium(bearing, speed, fine.load, mesh, fine.state, error)
+            return replace(fine, error=error)
         coarse, mesh = fine, FilmMesh(2 * mesh.around, 2 * mesh.across)
-    raise FitError(
-        f"the oil film needs more than {MOST_CELLS_AROUND} cells around",
-        hint=f"allow a larger error than {tolerance:g}",
-    )
+    what = f"the oil film needs more than {MOST_CELLS_AROUND} cells around"
+    raise FitError(what, hint=f"allow a larger error than {tolerance:g}")

@@ -84,12 +84,10 @@ class JournalCurve:
     def _place(self, sommerfeld: FloatArray) -> FloatArray:
         number = np.asarray(sommerfeld, np.float64)
         if not np.all((number >= LOWEST_SOMMERFELD) & (number <= HIGHEST_SOMMERFELD)):
-            raise FitError(
-                f"a Sommerfeld number of {float(np.max(number)):.3g} (lowest {float(np.min(number)):.3g}) "
-                "lies outside the bearing's table",
-                hint=f"from {LOWEST_SOMMERFELD:g} to {HIGHEST_SOMMERFELD:g}; check viscosity, clearance and "
-                "load",
-            )
+            what = f"a Sommerfeld number of {np.max(number):.3g} (lowest {np.min(number):.3g}) lies outside"
+            ends = f"from {LOWEST_SOMMERFELD:g} to {HIGHEST_SOMMERFELD:g}"
+            hint = f"{ends}; check viscosity, clearance and load"
+            raise FitError(f"{what} the bearing's table", hint=hint)
         return np.log(number)
 
 
@@ -97,14 +95,7 @@ def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArr
     """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per
     second.
     """
-    scale = (
-        bearing.viscosity
-        * bearing.length
-        * bearing.diameter
-        * (bearing.diameter / (2 * bearing.clearance)) ** 2
-        / (2 * np.pi)
-    )
-    return np.asarray(scale * np.asarray(speed) / np.asarray(load))
+    return np.asarray(bearing.force_scale(1.0) / (6 * np.pi) * np.asarray(speed) / np.asarray(load))
 
 
 @lru_cache(maxsize=8)
@@ -114,12 +105,7 @@ def journal_curve(
     """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes a
     second. *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
     """
-    half = mesh.halved()
-    if half is None:
-        raise ConfigError(
-            f"a mesh of {mesh.around} x {mesh.across} cells is too coarse to halve",
-            hint="give 24 x 8 cells or more",
-        )
+    half = mesh.half()
     bearing = JournalBearing(
         diameter=1.0, length=length_over_diameter, clearance=1e-3, viscosity=1.0, groove_width=groove_width
     )
@@ -129,6 +115,16 @@ def journal_curve(
     return JournalCurve(length_over_diameter, groove_width, spline, spline.derivative())
 
 
+def curve_of(bearing: JournalBearing) -> JournalCurve:
+    """The curve of a *bearing*. ConfigError where it is worn or tears below ambient pressure: coefficients
+    then depend on more than the Sommerfeld number.
+    """
+    if bearing.wear_depth or bearing.cavitation_pressure:
+        what = "a worn oil film, or one that tears below ambient, has no curve over its Sommerfeld number"
+        raise ConfigError(what, hint="leave 'wear' and 'cavitation_pressure' out")
+    return journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
+
+
 def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatArray:
     rows = []
     near: JournalEquilibrium | None = None
@@ -136,12 +132,8 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
         weight = bearing.force_scale(1.0) / (6 * np.pi * float(np.exp(place)))
         near = journal_equilibrium(bearing, (0.0, -weight), 1.0, mesh, near)
         scale = near.bearing.clearance / weight
-        turned = (
-            TO_LOAD_FRAME @ matrix @ TO_LOAD_FRAME.T * scale for matrix in (near.stiffness, near.damping)
-        )
-        rows.append(
-            np.concatenate([*(matrix.ravel() for matrix in turned), [near.eccentricity_ratio, near.attitude]])
-        )
+        turned = TO_LOAD_FRAME @ np.stack([near.stiffness, near.damping]) @ TO_LOAD_FRAME.T * scale
+        rows.append([*turned.ravel(), near.eccentricity_ratio, near.attitude])
     return np.array(rows[::-1])
 
 
@@ -174,9 +166,8 @@ class TableRange:
 
     def __post_init__(self) -> None:
         if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
-            raise ConfigError(
-                "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
-            )
+            what = "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
+            raise ConfigError(what)
         if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
             raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
         if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
@@ -238,10 +229,8 @@ class JournalTable:
     def _inside(self, point: FloatArray) -> FloatArray:
         slack = 1e-9 * (1 + np.abs(self.high))
         for axis in np.flatnonzero((point < self.low - slack) | (point > self.high + slack)):
-            raise FitError(
-                f"the {AXES[axis]} lies outside the table of bearing coefficients",
-                hint="make the table wider",
-            )
+            what = f"the {AXES[axis]} lies outside the table of bearing coefficients"
+            raise FitError(what, hint="make the table wider")
         return np.clip(point, self.low, self.high)[None, list(self.active)]
 
 
@@ -278,18 +267,15 @@ def journal_table(
     centre = np.log(bearing.force_scale(speed) / (6 * np.pi * weight))
     half = np.log(ranges.sommerfeld_factor)
     deepest = np.sqrt(ranges.depth * ranges.clearance_factor / bearing.clearance)
+    worn, low = ranges.depth > 0, ranges.cavitation_pressure / mean_pressure
     nodes = (
-        np.linspace(0, deepest, ranges.n_depth) if ranges.depth > 0 else np.zeros(1),
-        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle)
-        if ranges.depth > 0
-        else np.array([bearing.wear_angle]),
+        np.linspace(0, deepest, ranges.n_depth if worn else 1),
+        np.linspace(-ranges.angle, ranges.angle, ranges.n_angle) if worn else np.array([bearing.wear_angle]),
         np.linspace(centre - half, centre + half, ranges.n_sommerfeld) if half > 0 else np.array([centre]),
-        np.linspace(ranges.cavitation_pressure / mean_pressure, 0, ranges.n_cavitation)
-        if ranges.cavitation_pressure
-        else np.zeros(1),
+        np.linspace(low, 0, ranges.n_cavitation if low else 1),
     )
     sheets = [_Sheet(bearing, load, speed, mesh, root, nodes, ranges.tolerance) for root in nodes[0].tolist()]
-    return _fit(bearing, load, nodes, np.array([_sheet(sheet) for sheet in sheets]))
+    return _fit(bearing, load, nodes, np.array([sheet.values() for sheet in sheets]))
 
 
 @dataclass(frozen=True)
@@ -321,23 +307,22 @@ class _Sheet:
         return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
 
     def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
-        matrices = np.concatenate([equilibrium.stiffness.ravel(), equilibrium.damping.ravel() * self.speed])
+        matrices = np.stack([equilibrium.stiffness, equilibrium.damping * self.speed])
         return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
 
-
-def _sheet(sheet: _Sheet) -> FloatArray:
-    """Coefficients (n_angle, n_sommerfeld, n_cavitation, 8) at a depth; the angle varies slowest."""
-    angles, places = sheet.nodes[1], list(product(sheet.nodes[2], sheet.nodes[3]))
-    rows = []
-    before: list[JournalEquilibrium] = []
-    for angle in angles if sheet.root > 0 else angles[:1]:
-        here: list[JournalEquilibrium] = []
-        for number, place in enumerate(places):
-            here.append(sheet.equilibrium(angle, *place, _start(here, before, number)))
-        rows.append([sheet.scaled(equilibrium) for equilibrium in here])
-        before = here
-    shape = (angles.size, sheet.nodes[2].size, sheet.nodes[3].size, 8)
-    return np.broadcast_to(np.reshape(rows, (len(rows), *shape[1:])), shape)
+    def values(self) -> FloatArray:
+        """Coefficients (n_angle, n_sommerfeld, n_cavitation, 8); the angle varies slowest."""
+        _, angles, numbers, pressures = self.nodes
+        rows: list[list[FloatArray]] = []
+        before: list[JournalEquilibrium] = []
+        for angle in angles if self.root > 0 else angles[:1]:
+            here: list[JournalEquilibrium] = []
+            for number, place in enumerate(product(numbers, pressures)):
+                here.append(self.equilibrium(angle, *place, _start(here, before, number)))
+            rows.append([self.scaled(equilibrium) for equilibrium in here])
+            before = here
+        shape = (numbers.size, pressures.size, 8)
+        return np.broadcast_to(np.reshape(rows, (-1, *shape)), (angles.size, *shape))
 
 
 def _start(
@@ -367,11 +352,5 @@ def _fit(
         along = scipy.interpolate.make_interp_spline(place, np.moveaxis(values, number, 0), degree)
         knots.append(along.t)
         values = np.moveaxis(along.c, 0, number)
-    return JournalTable(
-        bearing,
-        load,
-        active,
-        low,
-        high,
-        scipy.interpolate.NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees),
-    )
+    spline = scipy.interpolate.NdBSpline(tuple(knots), np.ascontiguousarray(values), degrees)
+    return JournalTable(bearing, load, active, low, high, spline)

@@ -54,14 +54,10 @@ def _mid_width(
 
 
 def contour_levels(pressure: FloatArray) -> FloatArray:
-    """Rising levels (n_level,) [Pa] at round pressures around all of *pressure* (n_theta, n_axial) [Pa],
-    which leave no cell blank.
+    """Rising levels (n_level,) [unit of the pressure] at round ones around all of *pressure* (n_theta,
+    n_axial) [bar], which leave no cell blank.
     """
-    range_of_pressure = float(np.ptp(pressure)) or 1.0
-    low, high = (
-        float(pressure.min()) - TORN * range_of_pressure,
-        float(pressure.max()) + TORN * range_of_pressure,
-    )
-    levels = np.asarray(MaxNLocator(N_CONTOUR).tick_values(low + 2 * TORN * range_of_pressure, high))
-    inner = levels[(levels > low + 2 * TORN * range_of_pressure) & (levels < high)]
-    return np.concatenate([[low], inner, [high]])
+    margin = TORN * (float(np.ptp(pressure)) or 1.0)
+    low, high = float(pressure.min()) + margin, float(pressure.max()) + margin
+    levels = np.asarray(MaxNLocator(N_CONTOUR).tick_values(low, high))
+    return np.concatenate([[low - 2 * margin], levels[(levels > low) & (levels < high)], [high]])

@@ -29,7 +29,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
@@ -63,10 +63,9 @@ class FilmMesh:
 
     def __post_init__(self) -> None:
         if self.around < FEWEST_AROUND or self.across < FEWEST_ACROSS or self.around % 2 or self.across % 2:
-            raise ConfigError(
-                f"an oil film of {self.around} x {self.across} cells cannot be solved",
-                hint=f"give even numbers, at least {FEWEST_AROUND} around and {FEWEST_ACROSS} across",
-            )
+            what = f"an oil film of {self.around} x {self.across} cells cannot be solved"
+            hint = f"give even numbers, at least {FEWEST_AROUND} around and {FEWEST_ACROSS} across"
+            raise SettingError("cells_around", what, hint)
 
     @property
     def arc(self) -> float:
@@ -80,6 +79,13 @@ class FilmMesh:
         """The mesh with half the cells each way, rounded to even numbers; None where that is too coarse."""
         around, across = (2 * ((n + 2) // 4) for n in (self.around, self.across))
         return FilmMesh(around, max(across, FEWEST_ACROSS)) if around >= FEWEST_AROUND else None
+
+    def half(self) -> FilmMesh:
+        """As `halved`; ConfigError where that is too coarse."""
+        if (mesh := self.halved()) is None:
+            what = f"a mesh of {self.around} x {self.across} cells is too coarse to halve"
+            raise ConfigError(what, hint=f"give {2 * FEWEST_AROUND} x {2 * FEWEST_ACROSS} cells or more")
+        return mesh
 
 
 @dataclass(frozen=True)
@@ -173,11 +179,8 @@ class Film:
     @cached_property
     def worn(self) -> tuple[FloatArray, FloatArray]:
         """Added thickness at cell centres and faces, (n_theta,) each [-]."""
-        centre, face = (
-            mean_worn_depth(theta, self.depth, self.angle, self.mesh.arc)
-            for theta in (self.grid.centre, self.grid.face)
-        )
-        return centre, face
+        at = self.depth, self.angle, self.mesh.arc
+        return mean_worn_depth(self.grid.centre, *at), mean_worn_depth(self.grid.face, *at)
 
     @cached_property
     def grooves(self) -> tuple[BoolArray, FloatArray]:
@@ -249,9 +252,8 @@ def film_equations(
     by_width = by_width / slope
     by_displacement = np.empty((2, *pressure.shape))
     for axis in range(2):
-        by_displacement[axis] = _out((3 * grid.at_face[axis] / face)[:, None] * flow) + thicker[
-            axis, :, None
-        ] * (leak - surplus)
+        by_flow = _out((3 * grid.at_face[axis] / face)[:, None] * flow)
+        by_displacement[axis] = by_flow + thicker[axis, :, None] * (leak - surplus)
         by_displacement[axis] += grid.wedge[axis, :, None] - wider[axis, :, None] * by_width
     diagonal, residual, cavitated = (1 - slope) * in_flow, (gap - largest) * in_flow, slope <= LEAST_SLOPE
     if film.groove > 0:
@@ -285,7 +287,7 @@ def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, Float
 
 
 def _out(flow: FloatArray) -> FloatArray:
-    """Net outflow of every cell from the flows over the faces after them, axis 0 around."""
+    """Net outflow of every cell from the flows over the faces after them."""
     out = np.empty_like(flow)
     np.subtract(flow[1:], flow[:-1], out=out[1:])
     np.subtract(flow[0], flow[-1], out=out[0, ...])
@@ -340,9 +342,8 @@ def factorise(equations: FilmEquations, curvature: FloatArray, room: FloatArray)
 
     factors, info = lapack.dpbtrf(band.reshape(-1, band.shape[2]).T, lower=1, overwrite_ab=1)
     if info != 0:
-        raise FitError(
-            "the equations of the oil film are singular", hint="check load, speed, viscosity and clearance"
-        )
+        hint = "check load, speed, viscosity and clearance"
+        raise FitError("the equations of the oil film are singular", hint=hint)
     return FactoredFilm(columns, factors, diagonal)
 
 
@@ -357,7 +358,6 @@ def _open_ring(cavitated: BoolArray) -> IntArray | None:
 
 
 def _open_band(equations: FilmEquations, columns: IntArray, room: FloatArray) -> FloatArray:
-    """(n_column, n_half, n_half + 1), the lower band of every cell."""
     n_half = equations.diagonal.shape[1]
     band = room[: columns.size * n_half * (n_half + 1)].reshape(columns.size, n_half, n_half + 1)
     band[:] = 0

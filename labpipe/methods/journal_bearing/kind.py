@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, PressureField
-from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import JournalBearing, converged_equilibrium
+from labpipe.errors import SettingError
+from labpipe.methods.journal_bearing.bearing import NO_LOAD, JournalBearing, converged_equilibrium
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.report.chart import WIDTH, Drawing
 from labpipe.report.document import Figure
@@ -61,10 +61,10 @@ class JournalSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.temperature is not None and (self.viscosity_temperature is None or not self.viscosity_slope):
-            what = "temperature: the viscosity at it needs 'viscosity_temperature' and 'viscosity_slope'"
-            raise ConfigError(
-                what, hint="viscosity_temperature: 40 degC, viscosity_slope: 3 %/K", field="temperature"
-            )
+            what = "the viscosity at it needs 'viscosity_temperature' and 'viscosity_slope'"
+            hint = "viscosity_temperature: 40 degC, viscosity_slope: 3 %/K"
+            raise SettingError("temperature", what, hint)
+        self.require_not_negative("viscosity_slope")
         self.bearing()
 
     @property
@@ -102,13 +102,11 @@ class JournalFile(JournalSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.speed > 0:
-            raise ConfigError(f"speed: an oil film needs a speed above zero, not {self.speed:g} Hz")
+            raise SettingError("speed", f"an oil film needs a speed above zero, not {self.speed:g} Hz")
         if not np.hypot(self.load, self.side_load) > 0:
-            raise ConfigError(
-                "load: a journal bearing needs a load for its equilibrium", hint="for example load: 58.82 N"
-            )
+            raise SettingError("load", NO_LOAD, "for example load: 58.82 N")
         if not 1e-4 <= self.accuracy <= 0.5:
-            raise ConfigError("accuracy: must lie between 0.01 % and 50 %")
+            raise SettingError("accuracy", "must lie between 0.01 % and 50 %")
 
 
 def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoefficients]:

@@ -22,22 +22,14 @@ from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
 from labpipe.methods.modal import model_error
+from labpipe.methods.modal import poles as lscf
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
-from labpipe.methods.modal.moved import MovedMode, aligned_measured, alignment, with_moved_modes
-from labpipe.methods.modal.poles import (
-    Completed,
-    Diagram,
-    LineNoise,
-    NormalEquations,
-    Poles,
-    complete,
-    damping_ratio,
-    kept_modes,
-    nearest_modes,
-    normal_equations,
-    refine_with_terms,
-    stabilisation,
-    with_real_modes,
+from labpipe.methods.modal.moved import (
+    FEWEST_POINTS,
+    MovedMode,
+    aligned_measured,
+    alignment,
+    with_moved_modes,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import (
@@ -144,7 +136,6 @@ def modal_findings(
 
 
 def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
-    """The fit with a warning for modes hardly wider than a line."""
     if not narrow:
         return fit
     frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
@@ -174,7 +165,7 @@ def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
 
 
 def modal_notes(
-    estimate: ModalEstimate, whole: Completed, n_reference: int, forces_move: bool
+    estimate: ModalEstimate, whole: lscf.Completed, n_reference: int, forces_move: bool
 ) -> tuple[str, ...]:
     """What a reader must know: where the noise comes from, residual terms, a single reference, moved
     forces.
@@ -261,18 +252,22 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
     )
+    n_point = len(sides.points)
+    if modal.moving_mass is not None and n_point <= FEWEST_POINTS:
+        what = f"of {n_point} point(s) 'moving_mass' cannot tell the structure without it"
+        raise SettingError("moving_mass", what, f"measure more than {FEWEST_POINTS}")
     if modal.structure is not None:
         modal.structure.check([port.dof for port in sides.points])
     diagram, start = _first_modes(sides.lines, modal)
-    refined, terms = refine_with_terms(sides.lines, start.values, start.participation)
-    refined, terms, dropped = kept_modes(sides.lines, refined, terms)
+    refined, terms = lscf.refine_with_terms(sides.lines, start.values, start.participation)
+    refined, terms, dropped = lscf.kept_modes(sides.lines, refined, terms)
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
     # need.
-    line_noise = LineNoise(response.line_correlation)
-    whole = complete(sides.lines, refined, terms, line_noise, adding=not modal.poles)
+    line_noise = lscf.LineNoise(response.line_correlation)
+    whole = lscf.complete(sides.lines, refined, terms, line_noise, adding=not modal.poles)
     sides, whole, moved, loaded = _at_mean_poles(sides, whole, line_noise, modal)
     if real := modal.shapes == "real":
-        whole = with_real_modes(sides.lines, whole, line_noise)
+        whole = lscf.with_real_modes(sides.lines, whole, line_noise)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
@@ -300,8 +295,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 
 def _at_mean_poles(
-    sides: _Sides, whole: Completed, noise: LineNoise, modal: ModalSettings
-) -> tuple[_Sides, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
+    sides: _Sides, whole: lscf.Completed, noise: lscf.LineNoise, modal: ModalSettings
+) -> tuple[_Sides, lscf.Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
     moving = modal.moving_mass is not None
@@ -311,9 +306,13 @@ def _at_mean_poles(
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     is_hysteretic = settings.damping != VISCOUS
-    if is_hysteretic and modal.shapes == "real":
-        what = f"'shapes: real' cannot be combined with {settings.damping} damping"
-        raise SettingError("shapes", what, "leave one of `shapes` and `damping` out")
+    for key, written, given in (
+        ("shapes", "shapes: real", modal.shapes == "real"),
+        ("moving_mass", "moving_mass", modal.moving_mass is not None),
+    ):
+        if is_hysteretic and given:
+            what = f"'{written}' cannot be combined with {settings.damping} damping"
+            raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
     return is_hysteretic
 
 
@@ -346,9 +345,7 @@ def _beyond(
 
 
 def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
-    """Reciprocal noise along the lines (n_line,) in the measured form: of all elements together, each
-    relative to its mean.
-    """
+    """Reciprocal noise along the lines (n_line,), that of each element relative to its mean."""
     if not has_noise(measured):
         return np.ones(measured.omega.size)
     assert measured.variance is not None
@@ -357,7 +354,7 @@ def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
 
 
 def _turn(measured: Measured) -> Measured:
-    """Outputs and inputs exchanged: a linear structure answers alike (Maxwell and Betti)."""
+    """Outputs and inputs exchanged (Maxwell and Betti)."""
     _, n_output, n_input = measured.matrix.shape
     order = np.arange(n_output * n_input).reshape(n_output, n_input).T.ravel()
     covariance = measured.stored_covariance
@@ -375,18 +372,18 @@ def _turn(measured: Measured) -> Measured:
     )
 
 
-def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[Diagram, Poles]:
+def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf.Poles]:
     """The stabilisation diagram and the modes to begin with, as it shows them or as they are named.
 
     Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked at.
     """
     edges = float(lines.omega[0]), float(lines.omega[-1])
     omega, matrix, highest = lines.omega, lines.matrix, _highest_order(lines.omega.size, modal)
-    looks: list[tuple[Diagram, Poles]] = []
+    looks: list[tuple[lscf.Diagram, lscf.Poles]] = []
     while omega.size >= LINES_PER_ORDER * LEAST_ORDER:
         order = _highest_order(omega.size, modal)
-        equations = normal_equations(omega, matrix, order)
-        diagram = stabilisation(equations, edges, order)
+        equations = lscf.normal_equations(omega, matrix, order)
+        diagram = lscf.stabilisation(equations, edges, order)
         looks.append((diagram, _by_hand(equations, modal, edges, order) if modal.poles else diagram.modes))
         if diagram.modes.values.size:
             break
@@ -409,18 +406,18 @@ def _highest_order(n_line: int, modal: ModalSettings) -> int:
 
 
 def _by_hand(
-    equations: NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
-) -> Poles:
+    equations: lscf.NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
+) -> lscf.Poles:
     frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
     outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
     if outside.size:
         inside = f"{edges[0] / (2 * np.pi):g} to {edges[1] / (2 * np.pi):g} Hz"
         what = f"the pole {outside[0] / (2 * np.pi):g} Hz lies outside the band"
         raise SettingError("poles", what, f"the lines go from {inside}")
-    return nearest_modes(equations, frequencies, highest)
+    return lscf.nearest_modes(equations, frequencies, highest)
 
 
-def _check_start(start: Poles, lines: Lines, highest: int, modal: ModalSettings) -> None:
+def _check_start(start: lscf.Poles, lines: Lines, highest: int, modal: ModalSettings) -> None:
     if not start.values.size:
         what, hint = f"no order up to {highest} has a pole", "choose another band"
         if not modal.poles:
@@ -446,7 +443,7 @@ def _report(
     settings: FitSettings,
     band: tuple[float, float],
     sides: _Sides,
-    whole: Completed,
+    whole: lscf.Completed,
     estimate: ModalEstimate,
     beyond: Measured,
     moved: Sequence[MovedMode],
@@ -495,11 +492,11 @@ def _report(
     )
 
 
-def _diagram_record(lines: Lines, diagram: Diagram) -> StabilisationDiagram:
+def _diagram_record(lines: Lines, diagram: lscf.Diagram) -> StabilisationDiagram:
     poles = diagram.poles
     return StabilisationDiagram(
         np.abs(poles.values) / (2 * np.pi),
-        damping_ratio(poles.values),
+        lscf.damping_ratio(poles.values),
         poles.orders,
         diagram.group,
         indicator_frequency=lines.omega / (2 * np.pi),

@@ -45,6 +45,11 @@ class Lines:
         return 1j * self.omega
 
     @property
+    def spacing(self) -> float:
+        """Distance of neighbouring lines [rad/s], whatever a band or a mask leaves out between others."""
+        return float(np.median(np.diff(self.omega)))
+
+    @property
     def n_element(self) -> int:
         return self.matrix.shape[1] * self.matrix.shape[2]
 
@@ -203,8 +208,6 @@ def _move(state: _State, step: FloatArray) -> _State | None:
 
 @dataclass(frozen=True)
 class _State:
-    """Poles and participation with the sums there and the shapes that fit them best."""
-
     lines: Lines
     terms: ResidualTerms
     sums: _Sums
@@ -355,9 +358,7 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
 
 
 def _pseudo_inverse(normal: FloatArray) -> FloatArray:
-    """Inverse of a normal matrix (n, n) without the directions that rounding alone determines (two modes on
-    one place).
-    """
+    """Without the directions that rounding alone determines (two modes on one place)."""
     diagonal = np.diag(normal)
     scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
     values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
@@ -366,7 +367,7 @@ def _pseudo_inverse(normal: FloatArray) -> FloatArray:
 
 
 def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
-    """Rows and columns of the entries that are estimated: all but the 1 of each row."""
+    """Entries that are estimated: all but the 1 of each row."""
     rows, columns = np.nonzero(participation != 1)
     return rows, columns
 
@@ -411,7 +412,7 @@ def _shape_columns(participation: ComplexArray) -> FloatArray:
 
 
 def _turn(factor: ComplexArray) -> FloatArray:
-    """The product with complex factors (...,) as real matrices (..., 2, 2)."""
+    """Products with complex factors (...,) as real matrices (..., 2, 2)."""
     matrices = np.empty((*factor.shape, 2, 2))
     matrices[..., 0, 0] = matrices[..., 1, 1] = factor.real
     matrices[..., 1, 0] = factor.imag
@@ -465,13 +466,12 @@ def shapes_of(
 
 
 def _coefficients(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
-    """Coefficients (n_output, n_input, 2 n_mode) of u, v: real and imaginary part of the residues in turn."""
+    """Of u, v of every mode: real and imaginary part of the residues in turn."""
     residue = psi[:, None, :] * participation.T[None]
     return np.stack([residue.real, residue.imag], axis=-1).reshape(*residue.shape[:2], -1)
 
 
 def _rss(sums: _Sums, participation: ComplexArray, psi: ComplexArray) -> FloatArray:
-    """Sum of |residual|^2 of every element, (n_output, n_input)."""
     coefficients = _coefficients(participation, psi)
     k = coefficients.shape[-1]
     fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])

@@ -17,7 +17,6 @@ from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
-from labpipe.methods.modal.poles import damping_ratio
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
@@ -43,9 +42,13 @@ def shape_record(
     shapes = raw / scale
     variance = np.einsum("omm->om", refined.shape_covariance)
     std = np.sqrt(variance[:, 0::2] + variance[:, 1::2])[:, order]
+    of_pole = [function for _, _, function in _of_pole(refined)]
+    rows = [[function(np.array([pole.real, pole.imag])) for function in of_pole] for pole in poles]
+    frequency, damping = np.array(rows).T
     return Modes(
-        np.abs(poles) / (2 * np.pi),
-        damping_ratio(poles),
+        frequency,
+        # A loss factor is twice the damping ratio of the same peak.
+        damping / 2 if refined.hysteretic else damping,
         shapes=shapes,
         shape_std_errors=std / np.abs(scale),
         participation=participation,
@@ -175,7 +178,7 @@ def _value(
 
 
 def _at_driving_point(hysteretic: bool) -> Function:
-    """Modal mass [kg] of pole x_0 + j x_1 with residue (x_2 + j x_3)(x_4 + j x_5)."""
+    """Modal mass [kg] of pole x_0 + j x_1, residue (x_2 + j x_3)(x_4 + j x_5)."""
 
     def mass(x: FloatArray) -> float:
         residue = (x[2] + 1j * x[3]) * (x[4] + 1j * x[5])
@@ -200,18 +203,13 @@ def _pole_and_residue(
         return np.array([pole.real, pole.imag]), refined.covariance[np.ix_(at, at)]
     psi, factor = refined.shapes[driving.output, mode], refined.participation[mode, driving.input]
     values = np.array([pole.real, pole.imag, psi.real, psi.imag, factor.real, factor.imag])
-    covariance = np.zeros((6, 6))
-    covariance[:2, :2] = refined.covariance[np.ix_(at, at)]
-    of_shape = refined.crossed[driving.output][at]
-    covariance[2:4, 2:4] = refined.shape_covariance[driving.output][np.ix_(at, at)]
-    covariance[2:4, :2], covariance[:2, 2:4] = of_shape[:, at], of_shape[:, at].T
+    crossed, n = refined.crossed[driving.output], len(refined.covariance)
+    of_shape = refined.shape_covariance[driving.output]
+    whole = np.block([[refined.covariance, crossed.T], [crossed, of_shape]])
     place = refined.place(mode, driving.input)
-    if place is not None:
-        free = [place, place + 1]
-        covariance[4:, 4:] = refined.covariance[np.ix_(free, free)]
-        covariance[4:, :2] = refined.covariance[np.ix_(free, at)]
-        covariance[:2, 4:] = refined.covariance[np.ix_(at, free)]
-        covariance[2:4, 4:], covariance[4:, 2:4] = of_shape[:, free], of_shape[:, free].T
+    places = [*at, *(n + number for number in at), *([] if place is None else [place, place + 1])]
+    covariance = np.zeros((6, 6))
+    covariance[: len(places), : len(places)] = whole[np.ix_(places, places)]
     return values, covariance
 
 
@@ -297,9 +295,7 @@ def model_errors(
 def _judge(
     measured: Measured, wide: Measured, estimate: ModalEstimate, mode: int, scatter: FloatArray | None
 ) -> tuple[_Band, Fitted, Mixture]:
-    """The band of a mode, its ordinary fit and mixture; the lines next to it alone where its whole band shows
-    a stronger one.
-    """
+    """Band, fit and mixture of a mode; of the lines next to it where its band shows a stronger one."""
     pole = complex(estimate.refined.poles[mode])
     f_r, half = abs(pole) / (2 * np.pi), HALF_JUDGED * -2 * pole.real / (2 * np.pi)
     edges = _widen(measured, pole)
@@ -314,7 +310,6 @@ def _judge(
 
 
 def _survives(mixed: Mixture) -> bool:
-    """Whether all bands and numbers of residual terms speak for one mode and noise."""
     others = mixed.others if isinstance(mixed, Settled) else ()
     return all(of.sound >= 0.5 for of in (mixed, *others))
 
@@ -362,7 +357,7 @@ def with_model_errors(
         elif number in errors:
             stated += errors[number].stated([parameter])
         elif estimate.chi2_reduced is None:
-            alike = -2 * pole.real / (2 * np.pi) / float(np.mean(np.diff(lines)))
+            alike = -2 * pole.real / (2 * np.pi) / float(np.median(np.diff(lines)))
             stated.append(replace(widen(parameter, float(np.sqrt(max(alike, 1.0)))), reason=FEW))
         else:
             stated.append(parameter)
@@ -439,7 +434,6 @@ class _Band:
 
 
 def _near(measured: Measured, pole: complex) -> BoolArray:
-    """The lines (n_line,) of a mode: REACH half-power widths to either side, FEWEST of them at least."""
     frequency = measured.omega / (2 * np.pi)
     away = np.abs(frequency - abs(pole) / (2 * np.pi))
     near = away <= REACH * -2 * pole.real / (2 * np.pi)
@@ -458,10 +452,7 @@ def _widen(measured: Measured, pole: complex) -> tuple[float, float] | None:
 
 
 def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> FloatArray | None:
-    """E|n|^2 of every FRF (n_frf,) [m^2/N^2] between neighbours of the lines *near* (n_line,) [-].
-
-    It is that of the residual.
-    """
+    """E|n|^2 of every FRF (n_frf,) [m^2/N^2] by the residual of the lines *near*; None where measured."""
     if measured.variance is not None and not estimate.unused and np.all(measured.variance > 0):
         return None
     residual = (measured.matrix - estimate.fitted)[near].reshape(np.count_nonzero(near), -1)
@@ -472,9 +463,6 @@ def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> Fl
 
 
 def _noise(measured: Measured, scatter: FloatArray | None) -> FloatArray:
-    """sqrt(E|n|^2) of every FRF on every line, (n_line, n_frf) [m/N]: of a *scatter* alike on all, else the
-    measured one.
-    """
     if scatter is not None:
         return np.broadcast_to(np.sqrt(scatter), (measured.omega.size, scatter.size))
     assert measured.variance is not None
@@ -521,19 +509,20 @@ def narrow_modes(refined: Refined, lines: Lines) -> dict[int, float]:
     """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
     number in ascending frequency.
     """
-    widths = (-2 * refined.poles.real / float(np.mean(np.diff(lines.omega))))[_ascending(refined)]
+    widths = (-2 * refined.poles.real / lines.spacing)[_ascending(refined)]
     return {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
 
 
 def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
     Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
-    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977).
+    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so masses, are areas,
+    which a window leaves; c = 2 zeta w_n m follows zeta.
     """
     left = {
         f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
         for number, width in narrow.items()
-        for name in ("zeta", "eta")
+        for name in ("zeta", "eta", "c")
     }
     parameters = tuple(
         replace(parameter, ci95=(left[parameter.name] * parameter.ci95[0], parameter.ci95[1]), reason=WINDOW)

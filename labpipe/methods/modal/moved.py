@@ -223,7 +223,6 @@ def _move(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[i
 
 
 def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
-    """s (n_line,) [rad/s] around a chain and the receptances there without the other modes."""
     poles = refined.poles[chain]
     reach = BESIDE * float(np.median(-2 * poles.real))
     low, high = poles.imag.min() - reach, poles.imag.max() + reach
@@ -276,7 +275,6 @@ def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexAr
 
 
 def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
-    """A pole of every point of data (n_line, n_point, n_reference), and the squares that each leaves."""
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
     point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
     solved = [_solve(s, data[:, point], pole) for point, pole in enumerate(point_poles)]

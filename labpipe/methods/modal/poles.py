@@ -43,6 +43,10 @@ class Poles:
     participation: ComplexArray
     orders: IntArray
 
+    def at(self, chosen: IntArray | BoolArray) -> Poles:
+        """The poles of these numbers (n,), or of this mask [-]."""
+        return Poles(self.values[chosen], self.participation[chosen], self.orders[chosen])
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -102,7 +106,12 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
     of_h = _both_lags(lags, scaled.reshape(n_line, -1)).reshape(2 * highest + 1, *matrix.shape[1:])
     of_g = _both_lags(lags, gram).reshape(2 * highest + 1, n_input, n_input)
     difference = np.arange(highest + 1)[None, :] - np.arange(highest + 1)[:, None]
-    factor = np.linalg.cholesky(of_z[np.abs(difference)])
+    gram_of_z = of_z[np.abs(difference)]
+    try:
+        factor = np.linalg.cholesky(gram_of_z)
+    except np.linalg.LinAlgError:
+        # Lines with a gap cover too little of the circle to tell high powers of z apart.
+        factor = np.linalg.cholesky(gram_of_z + ROUNDING * n_line * highest * np.eye(highest + 1))
     right = -of_h[difference + highest].transpose(0, 2, 1, 3).reshape(highest + 1, -1)
     rows = np.linalg.solve(factor, right).reshape(highest + 1, -1, (highest + 1) * n_input)
     total = of_g[difference + highest].transpose(0, 2, 1, 3).reshape((highest + 1) * n_input, -1)
@@ -115,19 +124,14 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
 
 
 def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
-    """Real part of the sums over lines of z^m *values* (n_line, n) for m = -highest ...
-
-    highest, (2 highest + 1, n).
-    """
+    """Real part of the sums over lines of z^m *values*, m from -highest to highest."""
     forward = (lags.T @ values).real
     backward = (lags.conj().T @ values).real
     return np.concatenate([backward[:0:-1], forward])
 
 
 def _solve(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
-    """Solution with the eigenvalues left out that are rounding: noise-free data leave the normal matrix
-    singular.
-    """
+    """Without the eigenvalues that rounding leaves of zero: noise-free data make the matrix singular."""
     try:
         factor = np.linalg.cholesky(matrix)
         diagonal = np.diag(factor)
@@ -152,7 +156,7 @@ def _roots(coefficients: FloatArray) -> ComplexArray:
 
 
 def _null_vectors(coefficients: FloatArray, roots: ComplexArray) -> ComplexArray:
-    """Left null vectors (n, n_input) of length 1 of I z^order + sum A_k z^k at *roots* z (n,)."""
+    """Left null vectors (n, n_input) of I z^order + sum A_k z^k at *roots* z (n,)."""
     order, n, _ = coefficients.shape
     # Over the largest of their powers, so that none overflows.
     powers = roots[:, None] ** (np.arange(order + 1) - order * (np.abs(roots) > 1)[:, None])
@@ -204,11 +208,7 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
     """
     orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
     parts = [_inside(equations.poles(order), band) for order in orders]
-    poles = Poles(
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.participation for part in parts]),
-        np.concatenate([part.orders for part in parts]),
-    )
+    poles = Poles(*(np.concatenate(of) for of in zip(*(vars(part).values() for part in parts), strict=True)))
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
     group = _groups(poles, counted)
     modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
@@ -234,7 +234,7 @@ def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: in
     apart = frequencies.size <= poles.values.size and np.all(np.diff(np.log(np.sort(frequencies))) > APART)
     if apart and np.unique(index).size < index.size:
         index = scipy.optimize.linear_sum_assignment(distance)[1]
-    return Poles(poles.values[index], poles.participation[index], poles.orders[index])
+    return poles.at(index)
 
 
 def damping_ratio(poles: ComplexArray) -> FloatArray:
@@ -244,12 +244,11 @@ def damping_ratio(poles: ComplexArray) -> FloatArray:
 
 def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
     frequency = np.abs(poles.values)
-    keep = (frequency >= band[0]) & (frequency <= band[1]) & (damping_ratio(poles.values) < MOST_DAMPING)
-    return Poles(poles.values[keep], poles.participation[keep], poles.orders[keep])
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    return poles.at(inside & (damping_ratio(poles.values) < MOST_DAMPING))
 
 
 def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:
-    """Whether each of *values* (n,) is the mode of each pole, (n, n_pole)."""
     limit = SHARE_OF_DECAY * np.abs(values.real) + SHARE_OF_FREQUENCY * np.abs(values)
     return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (
         modal_assurance(participation, poles.participation) > ALIKE
@@ -257,9 +256,7 @@ def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> Bo
 
 
 def _groups(poles: Poles, counted: list[int]) -> IntArray:
-    """Greedy choice: the pole with neighbours in most orders takes them out, until none returns in enough
-    orders.
-    """
+    """The pole with neighbours in most orders takes them out, until none returns in enough orders."""
     group = np.full(poles.values.size, -1)
     near = _near(poles, poles.values, poles.participation)
     position = {order: n for n, order in enumerate(counted)}
@@ -287,9 +284,7 @@ def _groups(poles: Poles, counted: list[int]) -> IntArray:
 def _least_biased(
     equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]
 ) -> Poles:
-    """The modes with the poles of the constraint of least bias: at each high order the nearest one, then the
-    median.
-    """
+    """By the constraint of least bias: at each high order the nearest pole, then the median."""
     n_mode = int(group.max(initial=-1)) + 1
     centre = np.empty(n_mode, np.complex128)
     participation = np.empty((n_mode, equations.n_input), np.complex128)
@@ -351,7 +346,7 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
 
 
 def _even(flat: ComplexArray) -> ComplexArray:
-    """Residuals (n_line, n) relative to the root mean square of the AROUND lines about each."""
+    """Relative to the root mean square of the AROUND lines about each."""
     kernel = np.ones(min(AROUND, flat.shape[0]))
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
     sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
@@ -460,13 +455,11 @@ def kept_modes(
 
 
 def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """The modes inside the band, those narrower than it by their half-power width -2 Re lambda, and those
-    that stand out of the noise, (n_mode,) each.
-    """
+    """Modes inside the band, narrower than it, and such that stand out of the noise, (n_mode,) each."""
     frequency, decay = np.abs(refined.poles), -refined.poles.real
-    low, high, spacing = lines.omega[0], lines.omega[-1], float(np.mean(np.diff(lines.omega)))
+    low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)
-    seen = (shape_p(refined) < SEEN_P) & (decay > SHARPEST * spacing)
+    seen = (shape_p(refined) < SEEN_P) & (decay > SHARPEST * lines.spacing)
     return inside, 2 * decay < BROADEST * (high - low), seen
 
 
@@ -513,10 +506,10 @@ def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Complete
 def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
     refined = done.refined
     residual = remaining(lines, done.terms, refined)
-    spacing = float(np.mean(np.diff(lines.omega)))
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
-    kernel = np.ones(max(round(2 * decay / spacing), 1))
+    n_wide = round(2 * decay / lines.spacing)
+    kernel = np.ones(max(n_wide, 1))
     summed = np.stack([np.convolve(column, kernel, mode="same") for column in scaled.T])
     line = int(np.argmax(np.sum(np.abs(summed) ** 2, axis=0)))
     near = int(np.argmin(np.abs(refined.poles.imag - lines.omega[line])))
@@ -524,7 +517,7 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     if abs(pole - refined.poles[near]) < decay / 2:
         # On top of a mode: the two begin on either side of the place.
         pole += 1j * decay
-    width = max(3, round(2 * decay / spacing))
+    width = max(3, n_wide)
     part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
     participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
     poles = np.append(refined.poles, pole)

@@ -119,7 +119,6 @@ def _shape(modes: Modes, n: int, axis: chart.Axis, few: bool) -> chart.Panel:
 
 
 def _alike(fit: Fit, modes: Modes) -> list[Block]:
-    """How alike the shapes are: of a few in words, of more as a figure."""
     n = modes.frequency.size
     if n > FEW_MODES:
         return [mac_figure(fit, modes)]

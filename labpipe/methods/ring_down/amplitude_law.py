@@ -199,7 +199,7 @@ def stretches(
     course = np.exp(pole * piece.time)
     parts = [part for part in np.array_split(np.arange(n), max(count, 1)) if part.size > 4]
     variance = float(fitted.variance[number, output])
-    middles, values, errors = [], [], []
+    rows = []
     for part in parts:
         columns = np.stack([course[part].real, -course[part].imag], axis=1)
         change, _, rank, _ = np.linalg.lstsq(columns, left[part], rcond=None)
@@ -207,14 +207,13 @@ def stretches(
             continue
         middle = float(np.mean(piece.time[part]))
         size = abs(np.exp(pole * middle))
-        middles.append(middle)
-        values.append((amplitude + change[0] + 1j * change[1]) * size)
-        errors.append(np.sqrt(variance * np.trace(np.linalg.inv(columns.T @ columns)) / 2) * size)
-    return Stretches(np.array(middles), np.array(values), np.array(errors))
+        error = np.sqrt(variance * np.trace(np.linalg.inv(columns.T @ columns)) / 2) * size
+        rows.append((middle, (amplitude + change[0] + 1j * change[1]) * size, error))
+    middles, values, errors = np.array(rows, np.complex128).reshape(-1, 3).T
+    return Stretches(middles.real, values, errors.real)
 
 
 def _in_time(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
-    """Rows (n_row,) of a residual as samples (n_sample,) [unit of the output]."""
     if piece.lines is None:
         return residual
     half = piece.lines.size
@@ -231,27 +230,22 @@ def over_amplitude(
     ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation
     (decay-stretches).
     """
-    rows: list[tuple[float, ...]] = []
+    parts = []
     for number, piece in enumerate(pieces):
         omega = abs(fitted.poles_of(number)[mode])
         course = stretches(piece, fitted, number, mode, output)
-        size = np.abs(course.amplitudes)
-        seen = int(np.argmin(np.append(size > LEAST_RATIO * course.std_error, False)))
-        for k in range(seen - 1):
-            span = course.middle[k + 1] - course.middle[k]
-            spread = float(np.hypot(course.std_error[k] / size[k], course.std_error[k + 1] / size[k + 1]))
-            turn = float(np.angle(course.amplitudes[k + 1] / course.amplitudes[k]))
-            rows.append(
-                (
-                    float(np.sqrt(size[k] * size[k + 1])),
-                    float(np.log(size[k] / size[k + 1])) / (omega * span),
-                    spread / (omega * span),
-                    (omega + turn / span) / (2 * np.pi),
-                    spread / span / (2 * np.pi),
-                )
-            )
-    table = np.array(sorted(rows)).reshape(-1, 5).T
-    return OverAmplitude(*table)
+        is_seen = np.abs(course.amplitudes) > LEAST_RATIO * course.std_error
+        seen = slice(int(np.argmin(np.append(is_seen, False))))
+        values, span = course.amplitudes[seen], np.diff(course.middle[seen])
+        size = np.abs(values)
+        error = course.std_error[seen] / size
+        spread, turn = np.hypot(error[:-1], error[1:]), np.angle(values[1:] / values[:-1])
+        damping = np.log(size[:-1] / size[1:]) / (omega * span)
+        frequency = (omega + turn / span) / (2 * np.pi)
+        errors = spread / (omega * span), spread / span / (2 * np.pi)
+        parts.append([np.sqrt(size[:-1] * size[1:]), damping, errors[0], frequency, errors[1]])
+    table = np.concatenate(parts, axis=1)
+    return OverAmplitude(*table[:, np.argsort(table[0])])
 
 
 # Pairs of stretches that show what the values of one decay scatter by, and least degrees of freedom that they
@@ -312,12 +306,12 @@ def missing_mode(
     fitted: likelihood.Decayed,
     richer: likelihood.Decayed,
     laws: dict[int, FittedLaw],
-    strongest: dict[int, tuple[int, int]],
+    outputs: Sequence[int],
     *,
     white: bool,
 ) -> MissingMode | None:
     """What *richer*, with a mode more than *fitted*, explains better than the *laws* by their mode; None
-    where it does not.
+    where it does not. *outputs* (n_mode,) in which each mode is strongest.
 
     *white*: whether it leaves white noise; otherwise it must leave less than the share LEFT of what the law
     leaves.
@@ -328,7 +322,7 @@ def missing_mode(
     if not richer.converged or np.any(richer.poles.real >= 0):
         return None
     for mode, law in laws.items():
-        output = strongest[mode][1]
+        output = outputs[mode]
         count = sum(piece.rows.shape[0] for piece in pieces)
         squares = [np.sum(solved.residual[:, output] ** 2) for solved in richer.pieces]
         left = float(np.sum(np.array(squares) / fitted.variance[:, output]))
@@ -511,7 +505,6 @@ def _mismatch(tested: likelihood.Judged) -> tuple[Finding, ...]:
 
 
 def _places(fitted: likelihood.Decayed, chosen: BoolArray) -> str:
-    """The frequencies of the chosen modes, in words."""
     return ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[chosen])
 
 

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
+from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.estimation.statistics import correlation, derive, estimated, student_limit
+from labpipe.estimation.statistics import correlation, derive, estimated, restated, student_limit
 from labpipe.methods.ring_down import amplitude_law, likelihood
 from labpipe.methods.ring_down.repeats import (
+    POWERS,
     RepeatedDecays,
     drift_findings,
+    powers_of,
+    quantity_name,
     repeat_notes,
     repeated_decays,
     with_repeats,
@@ -114,24 +120,22 @@ def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Par
     parameters: list[Parameter] = []
     for mode, pole in enumerate(fitted.poles):
         block = fitted.covariance[2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2]
-        suffix = f"_{mode + 1}"
-        f_n, zeta = (
-            estimated(name + suffix, unit, value, _error(gradient, block), fitted.dof, None)
-            for name, unit, value, gradient in _frequency_and_damping(pole)
-        )
-        parameters += [f_n, zeta]
-        gradient = 2 * np.pi * np.array([-1 / pole.imag, pole.real / pole.imag**2])
-        derived = [("log_decrement" + suffix, "1", -2 * np.pi * pole.real / pole.imag, gradient)]
+        turn = 2 * np.pi * np.array([-1 / pole.imag, pole.real / pole.imag**2])
+        rows = [*_frequency_and_damping(pole)]
+        rows.append(("log_decrement", "1", -2 * np.pi * pole.real / pole.imag, turn))
         if mass is not None:
-            end = "" if fitted.poles.size == 1 else suffix
             towards = np.array([pole.real, pole.imag])
-            derived.append(("k" + end, "N/m", mass * abs(pole) ** 2, 2 * mass * towards))
-            derived.append(("c" + end, "N.s/m", -2 * mass * pole.real, np.array([-2 * mass, 0.0])))
-        for name, unit, value, gradient in derived:
-            parameters.append(derive(name, unit, float(value), _error(gradient, block), fitted.dof))
-    if not fitted.converged:
-        return tuple(without_interval(parameter) for parameter in parameters)
-    return tuple(parameters)
+            rows.append(("k", "N/m", mass * abs(pole) ** 2, 2 * mass * towards))
+            rows.append(("c", "N.s/m", -2 * mass * pole.real, np.array([-2 * mass, 0.0])))
+        for number, (quantity, unit, value, gradient) in enumerate(rows):
+            name = quantity_name(quantity, mode, fitted.poles.size)
+            error = float(np.sqrt(max(float(gradient @ block @ gradient), 0.0)))
+            parameters.append(
+                estimated(name, unit, value, error, fitted.dof, None)
+                if number < 2
+                else derive(name, unit, float(value), error, fitted.dof)
+            )
+    return tuple(parameters) if fitted.converged else without_intervals(parameters)
 
 
 def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatArray], ...]:
@@ -140,27 +144,6 @@ def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatA
     towards = np.array([pole.real, pole.imag]) / (2 * np.pi * size)
     turned = np.array([-(pole.imag**2), pole.real * pole.imag]) / size**3
     return ("f_n", "Hz", float(size / (2 * np.pi)), towards), ("zeta", "1", float(-pole.real / size), turned)
-
-
-def _error(gradient: FloatArray, covariance: FloatArray) -> float:
-    return float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
-
-
-def without_interval(parameter: Parameter) -> Parameter:
-    """The value alone, where no interval is right."""
-    return replace(
-        parameter,
-        std_error=None,
-        std_error_inflated=None,
-        t_ratio=None,
-        ci95=None,
-        significant=None,
-        interval=None,
-    )
-
-
-# Powers of f and zeta in the quantities of a mode.
-POWERS = {"f_n": (1, 0), "zeta": (0, 1), "log_decrement": (0, 1), "k": (2, 0), "c": (1, 1)}
 
 
 def with_course(
@@ -180,25 +163,18 @@ def with_course(
         mode = int(number) - 1
         spread = amplitude_law.course_spread(curves[mode], complex(fitted.poles[mode]))
         if spread is None or parameter.ci95 is None or parameter.value <= 0:
-            widened.append(without_interval(parameter))
+            widened += without_intervals([parameter])
             continue
-        of_f, of_zeta = POWERS[name]
+        of_f, of_zeta = powers_of(name, -fitted.poles[mode].real / abs(fitted.poles[mode]))
         model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
-        half_width = (
-            float(np.log(parameter.ci95[1] / parameter.ci95[0])) / 2 if parameter.ci95[0] > 0 else np.inf
-        )
+        low, high = parameter.ci95
+        half_width = float(np.log(high / low)) / 2 if low > 0 else np.inf
         reach = float(np.hypot(half_width, student_limit(spread[2]) * model))
+        value, error = parameter.value, parameter.value * reach / student_limit(fitted.dof)
         parts = parameter.interval or IntervalParts(parameter.std_error or 0.0)
-        widened.append(
-            replace(
-                parameter,
-                ci95=(parameter.value * float(np.exp(-reach)), parameter.value * float(np.exp(reach))),
-                interval=replace(parts, discrepancy=parameter.value * model),
-                std_error_inflated=parameter.value * reach / student_limit(fitted.dof),
-                t_ratio=None if parameter.derived else student_limit(fitted.dof) / reach,
-                significant=None if parameter.derived else True,
-            )
-        )
+        ends = value * float(np.exp(-reach)), value * float(np.exp(reach))
+        parts = replace(parts, discrepancy=value * model)
+        widened.append(restated(parameter, value, error, ends, interval=parts))
     return tuple(widened)
 
 
@@ -249,6 +225,46 @@ MORE_LINES = 10.0
 EXPLAINED = 0.42
 
 
+@dataclass(frozen=True)
+class _Fitted:
+    """The *decays*, the *pieces* of their outputs *columns*, and their fit."""
+
+    decays: FreeDecays
+    columns: Sequence[int]
+    pieces: tuple[likelihood.Piece, ...]
+    fit: likelihood.Decayed
+
+    @cached_property
+    def tested(self) -> likelihood.Judged:
+        return likelihood.judge(self.pieces, self.fit, self.decays.sample_rate)
+
+    @cached_property
+    def strongest(self) -> list[tuple[int, int]]:
+        """Piece and output in which each mode stands out of its noise most."""
+        places = []
+        for mode in range(self.fit.poles.size):
+            sizes = [np.abs(solved.amplitudes[mode]) for solved in self.fit.pieces]
+            ratios = np.array(sizes) / np.sqrt(self.fit.variance)
+            piece, output = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
+            places.append((int(piece), int(output)))
+        return places
+
+    @property
+    def units(self) -> list[str]:
+        """Unit of the amplitude of each mode."""
+        return [self.decays.units[self.columns[output]] for _, output in self.strongest]
+
+    def course(self, number: int, output: int) -> FloatArray:
+        """All modes together (n_sample,) [unit of the output]."""
+        course = np.exp(self.pieces[number].time[:, None] * self.fit.poles_of(number))
+        return np.asarray((course @ self.fit.pieces[number].amplitudes[:, output]).real)
+
+    def offset(self, number: int, output: int) -> float:
+        """Of an output: the mean of what neither the modes nor the residual are."""
+        left = self.fit.pieces[number].residual[:, output]
+        return float(np.mean(self.pieces[number].rows[:, output] - left - self.course(number, output)))
+
+
 def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     """The modes of all decays of a test together as one Fit.
 
@@ -264,51 +280,48 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     _check(settings, alone)
     if alone:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
-    n_mode, rate = decay_settings.modes, decays.sample_rate
     if repeated is None:
-        fitted = likelihood.most_likely(decays.decays, columns, pieces, rate, settings.band, n_mode)
+        of = decays.decays, columns, pieces, decays.sample_rate, settings.band
+        joined = likelihood.most_likely(*of, decay_settings.modes)
     else:
-        fitted, places = repeated.joined, repeated.places
+        joined, places = repeated.joined, repeated.places
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
-    _check_fitted(pieces, fitted)
-    tested, jump = likelihood.judge(pieces, fitted, rate), None
-    if repeated is None and min(tested.amplitude, tested.white) < MISMATCH_P:
-        jump = amplitude_law.jump_of(decays, columns, fitted, settings.band)
+    _check_fitted(pieces, joined)
+    fitted, jump = _Fitted(decays, columns, pieces, joined), None
+    if repeated is None and min(fitted.tested.amplitude, fitted.tested.white) < MISMATCH_P:
+        jump = amplitude_law.jump_of(decays, columns, joined, settings.band)
     if jump is not None:
-        decays, pieces, fitted = jump.decays, jump.pieces, jump.fitted
-        tested = likelihood.judge(pieces, fitted, rate)
-    strongest = {mode: _strongest(fitted, mode) for mode in range(n_mode)}
-    laws = _laws(pieces, fitted, tested, strongest)
-    missing = _missing(decays, columns, pieces, fitted, laws, strongest, settings)
-    laws = {} if missing and missing.white else _explaining(pieces, laws)
+        fitted = _Fitted(jump.decays, columns, jump.pieces, jump.fitted)
+    laws = _laws(fitted)
+    missing = _missing(fitted, laws, settings.band)
+    laws = {} if missing and missing.white else _explaining(fitted.pieces, laws)
     amplitudes = {
-        mode: float(abs(fitted.pieces[piece].amplitudes[mode, output]))
-        for mode, (piece, output) in strongest.items()
+        mode: float(abs(fitted.fit.pieces[piece].amplitudes[mode, output]))
+        for mode, (piece, output) in enumerate(fitted.strongest)
     }
-    units = [decays.units[columns[o]] for _, o in strongest.values()]
     curves = tuple(
         replace(
-            amplitude_law.over_amplitude(pieces, fitted, mode, output),
+            amplitude_law.over_amplitude(fitted.pieces, fitted.fit, mode, output),
             law=laws[mode].law if mode in laws else None,
-            unit=units[mode],
+            unit=fitted.units[mode],
         )
-        for mode, (_, output) in strongest.items()
+        for mode, (_, output) in enumerate(fitted.strongest)
     )
-    parameters = _parameters(fitted, settings, laws, units, repeated)
-    findings = amplitude_law.decay_findings(fitted, tested, laws, amplitudes, missing)
-    if fitted.converged and (laws or any(finding.code == "model-mismatch" for finding in findings)):
-        parameters = with_course(parameters, curves, fitted)
-    fit = _report(decays, settings, pieces, fitted, parameters)
-    ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in strongest.items()}
+    parameters = _parameters(fitted, settings, laws, repeated)
+    findings = amplitude_law.decay_findings(fitted.fit, fitted.tested, laws, amplitudes, missing)
+    if fitted.fit.converged and (laws or any(finding.code == "model-mismatch" for finding in findings)):
+        parameters = with_course(parameters, curves, fitted.fit)
+    fit = _report(fitted, settings, parameters)
+    ports = {mode: decays.outputs[columns[output]] for mode, (_, output) in enumerate(fitted.strongest)}
     fit = with_sources(fit, decay_sources(parameters, settings, ports))
     findings = (*(() if jump is None else (jump.finding,)), *findings, *short)
-    notes = _notes(decays, columns, pieces, fitted, tested)
+    notes = _notes(fitted)
     if repeated is not None:
         findings = (*findings, *repeated.failed, *drift_findings(repeated))
         read = [decays.units[columns[output]] for output in repeated.outputs]
         notes = (*repeat_notes(repeated, read), *notes)
-    details = (_ring_down(decays, columns, pieces, fitted, strongest, curves),)
+    details = (_ring_down(fitted, curves),)
     return replace(fit, findings=(*findings, *decays.findings), notes=notes, details=details)
 
 
@@ -323,40 +336,24 @@ def _check(settings: FitSettings, each: bool) -> None:
 def _check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
     """FitError for few degrees of freedom, and for a mode that noise explains.
 
-    The largest of n lines of noise has chi-square 2 ln(n / p) with the chance p; a free damping finds more,
-    as if there were MORE_LINES times as many.
+    A free damping finds more than the largest line, as if there were MORE_LINES times as many.
     """
     if fitted.dof < FEW_DOF:
         hint = "a longer decay, fewer `modes`, or a wider `band`"
         raise FitError(f"the decays leave {fitted.dof} degrees of freedom", hint=hint)
-    rows = sum(piece.rows.size for piece in pieces)
-    weak = likelihood.energies(pieces, fitted) < 2 * np.log(MORE_LINES * rows / MISMATCH_P)
+    weak = MORE_LINES * likelihood.noise_chance(pieces, fitted) > MISMATCH_P
     if np.any(weak):
         where = ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[weak])
         hint = "fewer `modes`, another `band`, or stronger hits"
         raise FitError(f"what would be a mode at {where} is noise", hint=hint)
 
 
-def _strongest(fitted: likelihood.Decayed, mode: int) -> tuple[int, int]:
-    ratios = [
-        np.abs(solved.amplitudes[mode]) / np.sqrt(fitted.variance[number])
-        for number, solved in enumerate(fitted.pieces)
-    ]
-    piece, output = np.unravel_index(int(np.argmax(ratios)), np.shape(ratios))
-    return int(piece), int(output)
-
-
-def _laws(
-    pieces: Sequence[likelihood.Piece],
-    fitted: likelihood.Decayed,
-    tested: likelihood.Judged,
-    strongest: dict[int, tuple[int, int]],
-) -> dict[int, amplitude_law.FittedLaw]:
-    if tested.amplitude >= MISMATCH_P or not fitted.converged:
+def _laws(fitted: _Fitted) -> dict[int, amplitude_law.FittedLaw]:
+    if fitted.tested.amplitude >= MISMATCH_P or not fitted.fit.converged:
         return {}
     laws = {
-        mode: amplitude_law.fitted_law(pieces, fitted, mode, output)
-        for mode, (_, output) in strongest.items()
+        mode: amplitude_law.fitted_law(fitted.pieces, fitted.fit, mode, output)
+        for mode, (_, output) in enumerate(fitted.strongest)
     }
     return {mode: law for mode, law in laws.items() if amplitude_law.depends_on_amplitude(law)}
 
@@ -369,75 +366,60 @@ def _explaining(
 
 
 def _missing(
-    decays: FreeDecays,
-    columns: Sequence[int],
-    pieces: Sequence[likelihood.Piece],
-    fitted: likelihood.Decayed,
-    laws: dict[int, amplitude_law.FittedLaw],
-    strongest: dict[int, tuple[int, int]],
-    settings: FitSettings,
+    fitted: _Fitted, laws: dict[int, amplitude_law.FittedLaw], band: tuple[float, float] | None
 ) -> amplitude_law.MissingMode | None:
-    if not laws or fitted.poles.size == MOST_MODES:
+    n_mode, decays = fitted.fit.poles.size, fitted.decays
+    if not laws or n_mode == MOST_MODES:
         return None
-    rate = decays.sample_rate
+    of = decays.decays, fitted.columns, fitted.pieces, decays.sample_rate, band
     try:
-        richer = likelihood.most_likely(
-            decays.decays, columns, pieces, rate, settings.band, fitted.poles.size + 1
-        )
+        richer = likelihood.most_likely(*of, n_mode + 1)
     except FitError:
         return None
-    white = likelihood.judge(pieces, richer, rate).white >= MISMATCH_P
-    return amplitude_law.missing_mode(pieces, fitted, richer, laws, strongest, white=white)
+    white = likelihood.judge(fitted.pieces, richer, decays.sample_rate).white >= MISMATCH_P
+    outputs = [output for _, output in fitted.strongest]
+    return amplitude_law.missing_mode(fitted.pieces, fitted.fit, richer, laws, outputs, white=white)
 
 
 def _parameters(
-    fitted: likelihood.Decayed,
+    fitted: _Fitted,
     settings: FitSettings,
     laws: dict[int, amplitude_law.FittedLaw],
-    units: Sequence[str],
     repeated: RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
-    """Parameters of all modes, and of the laws of those that depend on their amplitude."""
     mass = settings.mass if isinstance(settings.mass, float) else None
-    parameters = mode_parameters(fitted, mass)
+    parameters = mode_parameters(fitted.fit, mass)
     if repeated is not None:
-        parameters = with_repeats(parameters, repeated, fitted.dof, mass)
+        parameters = with_repeats(parameters, repeated, fitted.fit.dof, mass)
     for mode, law in laws.items():
-        parameters += law_parameters(law, mode, units[mode], fitted.dof)
+        parameters += law_parameters(law, mode, fitted.units[mode], fitted.fit.dof)
     return parameters
 
 
-def _report(
-    decays: FreeDecays,
-    settings: FitSettings,
-    pieces: Sequence[likelihood.Piece],
-    fitted: likelihood.Decayed,
-    parameters: tuple[Parameter, ...],
-) -> Fit:
+def _report(fitted: _Fitted, settings: FitSettings, parameters: tuple[Parameter, ...]) -> Fit:
+    of, pieces = fitted.fit, fitted.pieces
     equations = sum(piece.rows.size for piece in pieces)
-    left = _square_sum(solved.residual for solved in fitted.pieces)
+    left = _square_sum(solved.residual for solved in of.pieces)
     r2 = 1 - left / _square_sum(_free_of_nuisance(piece) for piece in pieces)
-    adjusted = 1 - (1 - r2) * equations / fitted.dof
-    n = fitted.poles.size
-    slopes = np.zeros((2 * n, 2 * n))
-    for mode, pole in enumerate(fitted.poles):
-        for row, (_, _, _, gradient) in enumerate(_frequency_and_damping(pole)):
-            slopes[2 * mode + row, 2 * mode : 2 * mode + 2] = gradient
-    matrix = correlation(slopes @ fitted.covariance @ slopes.T)
+    adjusted = 1 - (1 - r2) * equations / of.dof
+    slopes = scipy.linalg.block_diag(
+        *([gradient for *_, gradient in _frequency_and_damping(pole)] for pole in of.poles)
+    )
+    matrix = correlation(slopes @ of.covariance @ slopes.T)
     return Fit(
         name=settings.name,
         model=settings.model,
         estimator="ml",
-        band_hz=settings.band or (0.0, decays.sample_rate / 2),
+        band_hz=settings.band or (0.0, fitted.decays.sample_rate / 2),
         lines=sum(piece.rows.shape[0] for piece in pieces),
         equations=equations,
-        dof=fitted.dof,
+        dof=of.dof,
         gof=Goodness(r2, adjusted),
         parameters=parameters,
         condition_number=float(np.sqrt(np.linalg.cond(matrix))),
         correlation=matrix,
-        converged=fitted.converged,
-        iterations=fitted.steps,
+        converged=of.converged,
+        iterations=of.steps,
     )
 
 
@@ -450,14 +432,9 @@ def _free_of_nuisance(piece: likelihood.Piece) -> FloatArray:
     return np.asarray(piece.rows - range_ @ (range_.T @ piece.rows))
 
 
-def _notes(
-    decays: FreeDecays,
-    columns: Sequence[int],
-    pieces: Sequence[likelihood.Piece],
-    fitted: likelihood.Decayed,
-    tested: likelihood.Judged,
-) -> tuple[str, ...]:
-    deviations = np.sqrt(np.mean(fitted.variance, axis=0))
+def _notes(fitted: _Fitted) -> tuple[str, ...]:
+    decays, columns, tested = fitted.decays, fitted.columns, fitted.tested
+    deviations = np.sqrt(np.mean(fitted.fit.variance, axis=0))
     noise = ", ".join(
         f"{decays.outputs[column].label} {deviation:.3g} {decays.units[column]}"
         for column, deviation in zip(columns, deviations, strict=True)
@@ -465,12 +442,11 @@ def _notes(
     notes = [
         f"decay: standard deviation of the residual: {noise}. Chance of such a residual in white noise "
         f"{tested.white:.2g}, of such a dependence on the amplitude: {tested.amplitude:.2g}. Intervals "
-        f"(factor {student_limit(fitted.dof):.3g}) hold for white noise."
+        f"(factor {student_limit(fitted.fit.dof):.3g}) hold for white noise."
     ]
-    if fitted.poles.size == 1 and pieces[0].lines is None:
-        number, output = _strongest(fitted, 0)
-        pole, samples = fitted.poles[0], decays.decays[number].samples[:, columns[output]]
-        centred = samples - _offset(pieces[number], fitted, number, output)
+    if fitted.fit.poles.size == 1 and fitted.pieces[0].lines is None:
+        ((number, output),), (pole,) = fitted.strongest, fitted.fit.poles
+        centred = decays.decays[number].samples[:, columns[output]] - fitted.offset(number, output)
         read = peak_decrement(centred, decays.sample_rate, pole.imag / (2 * np.pi))
         if read is not None:
             both = f"{read:.4g} (here {-2 * np.pi * pole.real / pole.imag:.4g})"
@@ -479,35 +455,15 @@ def _notes(
     return tuple(notes)
 
 
-def _offset(piece: likelihood.Piece, fitted: likelihood.Decayed, number: int, output: int) -> float:
-    """The fitted offset of an output: the mean of what neither the modes nor the residual are."""
-    left = fitted.pieces[number].residual[:, output]
-    return float(np.mean(piece.rows[:, output] - left - _course(piece, fitted, number, output)))
-
-
-def _course(piece: likelihood.Piece, fitted: likelihood.Decayed, number: int, output: int) -> FloatArray:
-    """All modes together (n_sample,) [unit of the output]."""
-    course = np.exp(piece.time[:, None] * fitted.poles_of(number))
-    return np.asarray((course @ fitted.pieces[number].amplitudes[:, output]).real)
-
-
-def _ring_down(
-    decays: FreeDecays,
-    columns: Sequence[int],
-    pieces: Sequence[likelihood.Piece],
-    fitted: likelihood.Decayed,
-    strongest: dict[int, tuple[int, int]],
-    curves: tuple[OverAmplitude, ...],
-) -> RingDown:
+def _ring_down(fitted: _Fitted, curves: tuple[OverAmplitude, ...]) -> RingDown:
     number, output = max(
-        strongest.values(),
-        key=lambda place: float(np.max(np.abs(fitted.pieces[place[0]].amplitudes[:, place[1]]))),
+        fitted.strongest,
+        key=lambda place: float(np.max(np.abs(fitted.fit.pieces[place[0]].amplitudes[:, place[1]]))),
     )
-    decay, piece = decays.decays[number], pieces[number]
-    samples = decay.samples[:, columns[output]]
-    modes = _course(piece, fitted, number, output)
-    offset = _offset(piece, fitted, number, output) if piece.lines is None else np.mean(samples - modes)
+    decay, piece, column = fitted.decays.decays[number], fitted.pieces[number], fitted.columns[output]
+    samples, modes = decay.samples[:, column], fitted.course(number, output)
+    offset = fitted.offset(number, output) if piece.lines is None else np.mean(samples - modes)
     shown = modes + offset
     time, measured, shown, left = trace(piece.time + decay.start, samples, shown, samples - shown)
-    label, unit = decays.outputs[columns[output]].label, decays.units[columns[output]]
+    label, unit = fitted.decays.outputs[column].label, fitted.decays.units[column]
     return RingDown(decay.recording, label, unit, time, measured, shown, left, curves)

@@ -74,7 +74,6 @@ def pieces_of(
 
 
 def _lines_of(n: int, rate: float, band: tuple[float, float]) -> IntArray:
-    """The lines (n_line,) [1] of *n* samples at *rate* [Hz] in a *band* [Hz]."""
     frequency = fft.rfftfreq(n, 1 / rate)
     return np.flatnonzero(lines_in(frequency, band) & (frequency > 0) & (frequency < rate / 2))
 
@@ -87,9 +86,11 @@ def long_enough(
     """
     if band is None:
         return decays, ()
-    lines = [_lines_of(decay.samples.shape[0], decays.sample_rate, band).size for decay in decays.decays]
-    kept = [decay for decay, n in zip(decays.decays, lines, strict=True) if n >= LEAST_LINES]
-    short = [decay for decay, n in zip(decays.decays, lines, strict=True) if n < LEAST_LINES]
+    kept: list[FreeDecay] = []
+    short: list[FreeDecay] = []
+    for decay in decays.decays:
+        n_line = _lines_of(decay.samples.shape[0], decays.sample_rate, band).size
+        (short if n_line < LEAST_LINES else kept).append(decay)
     if not kept or not short:
         return decays, ()
     places = ", ".join(f"{decay.start:.3f} s" for decay in short)
@@ -109,16 +110,6 @@ def _piece(samples: FloatArray, rate: float, band: tuple[float, float] | None) -
     powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, lines.size), SMOOTH_TERMS - 1)
     empty = np.zeros_like(powers)
     return Piece(time, _rows(samples, lines), lines, np.block([[powers, empty], [empty, powers]]))
-
-
-def shorten(piece: Piece, n_sample: int, band: tuple[float, float] | None) -> Piece:
-    """The first samples of a piece without a band.
-
-    With one the whole piece, whose lines belong to its length.
-    """
-    if band is not None or n_sample >= piece.time.size:
-        return piece
-    return Piece(piece.time[:n_sample], piece.rows[:n_sample], None, piece.nuisance[:n_sample])
 
 
 MOST_STEPS = 60
@@ -232,15 +223,24 @@ def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     return total
 
 
+def noise_chance(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
+    """Chance (n_mode,) [1] by which noise alone would give a mode so much energy on one of all rows, at most.
+
+    The amplitude of every output of every piece is free: chi-square with two degrees of freedom for each.
+    """
+    rows, dof = sum(piece.rows.size for piece in pieces), 2 * fitted.variance.size
+    return np.array([rows * chi2_tail(energy, dof) for energy in energies(pieces, fitted).tolist()])
+
+
 def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps: int) -> Decayed:
     order = np.argsort(poles.imag)
     variance = _variances(solved, poles.size)
     information, _ = _normal_equations(solved, variance)
     covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
-    places = np.stack([order, order + poles.size], axis=1).reshape(-1)
+    columns = np.concatenate([order, order + poles.size])
+    places = columns.reshape(2, -1).T.ravel()
     equations = sum(part.residual.size for part in solved)
     linear = sum(part.range_.shape[1] * part.residual.shape[1] for part in solved)
-    columns = np.concatenate([order, order + poles.size])
     ordered = tuple(
         replace(part, amplitudes=part.amplitudes[order], tangent=part.tangent[:, columns]) for part in solved
     )
@@ -262,7 +262,7 @@ def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
 
 
 def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Information (2 n_mode, 2 n_mode) of (Re lambda, Im lambda) and its right side, in 1 / (rad/s)."""
+    """Information (2 n_mode, 2 n_mode) of Re and Im of the poles, and its right side."""
     n_mode = solved[0].amplitudes.shape[0]
     information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
     for part, variances in zip(solved, variance, strict=True):
@@ -279,7 +279,6 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
 def _shorter_until_better(
     pieces: Sequence[Piece], solved: Sequence[Solved], poles: ComplexArray, step: FloatArray
 ) -> tuple[ComplexArray, list[Solved]] | None:
-    """The poles after the step, halved until they are more likely."""
     before = _misfit(solved)
     change = step[: poles.size] + 1j * step[poles.size :]
     for _ in range(MOST_HALVINGS):
@@ -348,12 +347,12 @@ def most_likely(
 def _follow(
     pieces: Sequence[Piece], poles: ComplexArray, n_sample: int, band: tuple[float, float] | None
 ) -> Decayed:
-    """The fit over pieces of doubling length, so that the phase of a long record is never lost by a whole
-    turn.
-    """
+    """Over pieces of doubling length, so that the phase of a long record is never lost by a whole turn."""
     longest = max(piece.time.size for piece in pieces)
     while band is None and n_sample < longest:
-        poles = maximum_likelihood([shorten(piece, n_sample, band) for piece in pieces], poles).poles
+        first = slice(n_sample)
+        parts = [Piece(of.time[first], of.rows[first], None, of.nuisance[first]) for of in pieces]
+        poles = maximum_likelihood(parts, poles).poles
         n_sample *= 2
     return maximum_likelihood(pieces, poles)
 
@@ -385,7 +384,6 @@ def pencil_poles(
 
 
 def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
-    """Energy (n_pole,) of every pole's part in all series."""
     energy = np.zeros(steps.size)
     for samples in series:
         course = np.exp(np.arange(samples.size)[:, None] * (np.minimum(steps.real, 0.0) + 1j * steps.imag))
@@ -399,9 +397,7 @@ def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
 def _decimate(
     series: Sequence[FloatArray], rate: float, band: tuple[float, float] | None, n_mode: int
 ) -> tuple[list[FloatArray], float]:
-    """The series without offset at the least rate [Hz] that shows their modes, at most MOST_SAMPLES of
-    each.
-    """
+    """At the least rate [Hz] that shows their modes, without offset, at most MOST_SAMPLES of each."""
     centred = [_filter(samples - np.mean(samples), rate, band) for samples in series]
     factor = max(1, int(rate / (SAMPLES_PER_PERIOD * _highest(centred[0], rate, band, n_mode))))
     if factor == 1:
@@ -436,13 +432,10 @@ def _highest(samples: FloatArray, rate: float, band: tuple[float, float] | None,
 
 
 LAGS = 32
-# Rows of a piece for each lag: the residual lacks what its parameters took, which must stay small against a
-# lag.
+# Rows of a piece for each lag: what the parameters took of the residual must stay small against a lag.
 ROWS_PER_LAG = 8
 # Singular value of the columns of a test below which one of them is a sum of the others.
 DEPENDENT = 1e-6
-
-
 # Mean square of a residual at the end over that at the beginning from which it goes on.
 GOES_ON = 0.5
 

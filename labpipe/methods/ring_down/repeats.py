@@ -5,7 +5,7 @@ part between them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,10 +24,26 @@ from labpipe.estimation.repeats import (
     repeat_mean,
 )
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import student_limit
-from labpipe.methods.ring_down.likelihood import Decayed, Piece, energies, most_likely
+from labpipe.estimation.statistics import restated, student_limit
+from labpipe.methods.ring_down.likelihood import Decayed, Piece, most_likely, noise_chance
 from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.spectra import FreeDecays
+
+# Powers of f and zeta in the quantities of a mode.
+POWERS = {"f_n": (1, 0), "zeta": (0, 1), "log_decrement": (0, 1), "k": (2, 0), "c": (1, 1)}
+
+
+def quantity_name(quantity: str, mode: int, n_mode: int) -> str:
+    """The name of a quantity of a mode, from 0; of a single mode k and c have no number."""
+    return quantity if n_mode == 1 and quantity in ("k", "c") else f"{quantity}_{mode + 1}"
+
+
+def powers_of(name: str, zeta: float) -> tuple[float, float]:
+    """Slopes of the logarithm of a quantity over ln f and ln zeta: those of POWERS, but that of the
+    logarithmic decrement 2 pi zeta / sqrt(1 - zeta^2) is 1 / (1 - zeta^2).
+    """
+    of_f, of_zeta = POWERS[name]
+    return of_f, of_zeta / (1 - zeta**2) if name == "log_decrement" else of_zeta
 
 
 @dataclass(frozen=True)
@@ -90,7 +106,7 @@ def repeated_decays(
                 raise FitError("its fit does not converge")
             if np.any(fitted.poles.real >= 0):
                 raise FitError("it does not decay")
-            if np.any(energies([piece], fitted) < 2 * np.log(piece.rows.size / MISMATCH_P)):
+            if np.any(noise_chance([piece], fitted) > MISMATCH_P):
                 raise FitError("a mode of it is noise")
             fits[number] = fitted
         except FitError as error:
@@ -189,31 +205,28 @@ def with_repeats(
     """The parameters of the modes as means of the decays, each with its 95 % interval, its repeats and their
     spread.
 
-    ln f and ln zeta have a mean and an interval; ln delta = ln zeta + ..., ln k = 2 ln f + ..., ln c = ln f +
-    ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the fit, *mass* [kg] of k and
-    c. Equation (repeats-mean).
+    ln f and ln zeta have a mean and an interval; ln delta = ln zeta / (1 - zeta^2) + ..., ln k = 2 ln f +
+    ..., ln c = ln f + ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the fit,
+    *mass* [kg] of k and c. Equation (repeats-mean).
     """
     entries: dict[str, Parameter] = {}
-    alone, n_mode = (len(repeated.means) == 1), len(repeated.means)
+    n_mode = len(repeated.means)
     by_name = {parameter.name: parameter for parameter in parameters}
     logs = np.array([_logarithms(fit)[0] for fit in repeated.fits])
     noise = np.array([_logarithms(fit)[1] for fit in repeated.fits])[repeated.kept.used]
     for mode, pair in enumerate(repeated.means):
-        suffix = f"_{mode + 1}"
-        zeta = float(np.exp(pair[1].value))
-        # Name, powers of f and zeta, factor.
-        kinds = [("f_n" + suffix, (1.0, 0.0), 1.0), ("zeta" + suffix, (0.0, 1.0), 1.0)]
-        kinds.append(("log_decrement" + suffix, (0.0, 1.0), 2 * np.pi / float(np.sqrt(1 - zeta**2))))
+        of_mode = [mode, n_mode + mode]
+        means = np.array([mean.value for mean in pair])
+        f, zeta = np.exp(means).tolist()
+        stated = {"f_n": f, "zeta": zeta, "log_decrement": 2 * np.pi * zeta / float(np.sqrt(1 - zeta**2))}
         if mass is not None:
-            of_support = "" if alone else suffix
-            kinds.append(("k" + of_support, (2.0, 0.0), mass * (2 * np.pi) ** 2))
-            kinds.append(("c" + of_support, (1.0, 1.0), 4 * np.pi * mass))
-        for name, powers, factor in kinds:
-            values = np.exp(logs[:, [mode, n_mode + mode]] @ powers) * factor
-            errors = np.sqrt(
-                [mean.weights**2 @ noise[:, which * n_mode + mode] for which, mean in enumerate(pair)]
-            )
-            law = (np.array(powers), factor, repeated.at[mode])
+            stated |= {"k": mass * (2 * np.pi * f) ** 2, "c": 4 * np.pi * mass * f * zeta}
+        errors = np.sqrt([mean.weights**2 @ noise[:, of] for of, mean in zip(of_mode, pair, strict=True)])
+        for quantity, value in stated.items():
+            name = quantity_name(quantity, mode, n_mode)
+            powers = np.array(powers_of(quantity, zeta))
+            values = value * np.exp((logs[:, of_mode] - means) @ powers)
+            law = (powers, value, repeated.at[mode])
             entries[name] = _parameter(by_name[name], pair, law, values, errors, repeated, dof)
     return tuple(entries.get(parameter.name, parameter) for parameter in parameters)
 
@@ -227,11 +240,11 @@ def _parameter(
     repeated: RepeatedDecays,
     dof: int,
 ) -> Parameter:
-    """factor f^p zeta^q of two means, with its interval by both; *law*: (p, q), the factor, and the amplitude
-    it holds at or nan; *values* (n_decay,) of the single decays, *errors* (2,) of the means' logarithms.
+    """A quantity by two means, with its interval by both; *law*: powers (p, q) of f^p zeta^q, the value, and
+    the amplitude it holds at or nan; *values* (n_decay,) of the single decays, *errors* (2,) of the means'
+    logarithms.
     """
-    powers, factor, at = law
-    value = factor * float(np.exp(powers @ [mean.value for mean in pair]))
+    powers, value, at = law
     reach = float(np.hypot(*(powers * [mean.half_width for mean in pair])))
     error = value * float(np.hypot(*(powers * errors)))
     used = tuple(bool(is_used) for is_used in repeated.kept.used)
@@ -246,25 +259,17 @@ def _parameter(
             half = max(half, (interval[1] - interval[0]) / 2)
     follows = bool(np.isfinite(at))
     full = half / limit
-    return replace(
-        parameter,
-        value=value,
-        std_error=error,
-        std_error_inflated=full,
-        interval=IntervalParts(error, repeats=float(np.sqrt(max(full**2 - error**2, 0.0)))),
-        t_ratio=None if parameter.derived else value / full,
-        ci95=interval,
-        significant=None if parameter.derived else True,
-        repeats=Repeats(
-            n=repeated.total,
-            used=sum(used),
-            spread=spread,
-            values=tuple(float(value) for value, is_used in zip(values, used, strict=True) if is_used),
-            covariate="amplitude" if follows else "",
-            at=float(at) if follows else None,
-            groups=len(repeated.groups),
-        ),
+    repeats = Repeats(
+        n=repeated.total,
+        used=sum(used),
+        spread=spread,
+        values=tuple(values[repeated.kept.used].tolist()),
+        covariate="amplitude" if follows else "",
+        at=float(at) if follows else None,
+        groups=len(repeated.groups),
     )
+    parts = IntervalParts(error, repeats=float(np.sqrt(max(full**2 - error**2, 0.0))))
+    return restated(parameter, value, full, interval, std_error=error, interval=parts, repeats=repeats)
 
 
 def repeat_notes(repeated: RepeatedDecays, units: Sequence[str]) -> tuple[str, ...]:

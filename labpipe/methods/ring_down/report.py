@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.records.fit_details import AmplitudeLaw, FitDetailKind, OverAmplitude, RingDown
+from labpipe.records.fit_details import FitDetailKind, OverAmplitude, RingDown
 from labpipe.records.identification import Fit
 from labpipe.report.chart import GREY, Axis, Panel, curve, level, stack
 from labpipe.report.document import Figure
@@ -51,15 +51,19 @@ def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmpl
     factor, law = scale_of(unit), mode.law
     amplitudes = np.geomspace(mode.amplitude[0], mode.amplitude[-1], LAW_POINTS)
     rows = (
-        (f"damping ratio {number}", "%", 100 * mode.damping, 100 * mode.damping_std_error, _damping),
-        (f"frequency {number}", "Hz", mode.frequency, mode.frequency_std_error, _frequency),
+        (f"damping ratio {number}", "%", 100 * mode.damping, 100 * mode.damping_std_error),
+        (f"frequency {number}", "Hz", mode.frequency, mode.frequency_std_error),
     )
+    courses: list[FloatArray | None] = [None, None]
+    if law is not None:
+        damping = law.zeta_rest + law.zeta_slope * amplitudes
+        courses = [100 * damping, (law.omega + law.frequency_slope * amplitudes) / (2 * np.pi)]
     panels = []
-    for title, of_row, values, std_errors, course in rows:
+    for (title, of_row, values, std_errors), course in zip(rows, courses, strict=True):
         ends = values - TWO_SIGMA * std_errors, values + TWO_SIGMA * std_errors
         series = [curve("stretches", factor * mode.amplitude, values, 0, "", marker="o", bars=ends)]
-        if law is not None:
-            series.append(curve("law", factor * amplitudes, course(law, amplitudes), 1))
+        if course is not None:
+            series.append(curve("law", factor * amplitudes, course, 1))
         panels.append(Panel(across, Axis(title, of_row), tuple(series)))
     line = " The line is the fitted law of both." if law is not None else ""
     caption = (
@@ -68,14 +72,6 @@ def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmpl
     )
     chart = stack(panels, MODE_HEIGHT)
     return Figure(chart, caption, f"Mode {number} of fit {fit_title(fit)} over amplitude")
-
-
-def _damping(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
-    return 100 * (law.zeta_rest + law.zeta_slope * amplitude)
-
-
-def _frequency(law: AmplitudeLaw, amplitude: FloatArray) -> FloatArray:
-    return (law.omega + law.frequency_slope * amplitude) / (2 * np.pi)
 
 
 RING_DOWN_DETAIL = FitDetailKind(RingDown, ring_down_figures)

@@ -44,11 +44,6 @@ class Passage:
     stiffness: FloatArray
     displacement: FloatArray
 
-    @property
-    def mean(self) -> FloatArray:
-        """Mean stiffness, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
-        return self.stiffness.mean(axis=0)
-
     @cached_property
     def lowest(self) -> FloatArray:
         """Smallest value of each coefficient, (n_case, 5, 5) [N/m, N/rad, N m/rad]."""
@@ -90,18 +85,18 @@ LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[kinds.BearingCoefficients]:
-    groups: dict[object, list[int]] = {}
+    groups: dict[tuple[RollingBearing, tuple[str, ...]], list[int]] = {}
     for number, entry in enumerate(settings):
         groups.setdefault((entry.bearing(), entry.fixed_dofs), []).append(number)
     coefficients: dict[int, kinds.BearingCoefficients] = {}
-    for numbers in groups.values():
-        coefficients.update(zip(numbers, _group([settings[n] for n in numbers]), strict=True))
+    for group, numbers in groups.items():
+        coefficients.update(zip(numbers, _group(*group, [settings[n] for n in numbers]), strict=True))
     return [coefficients[number] for number in range(len(settings))]
 
 
-def _group(settings: Sequence[RollingSettings]) -> list[kinds.BearingCoefficients]:
-    first = settings[0]
-    bearing, fixed_dofs = first.bearing(), first.fixed_dofs
+def _group(
+    bearing: RollingBearing, fixed_dofs: tuple[str, ...], settings: Sequence[RollingSettings]
+) -> list[kinds.BearingCoefficients]:
     loads = np.array(
         [[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings]
     )
@@ -183,12 +178,9 @@ def rolling_response(
     """The theoretical transfer matrix of the file's shaft on the bearing; None where there is no shaft."""
     if settings.shaft is None:
         return None
-    return theoretical_response(
-        settings.shaft.body,
-        coefficients.stiffness,
-        np.linspace(*settings.shaft.band, settings.shaft.lines),
-        settings.damping_factor,
-    )
+    shaft = settings.shaft
+    lines = np.linspace(*shaft.band, shaft.lines)
+    return theoretical_response(shaft.body, coefficients.stiffness, lines, settings.damping_factor)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ clearance and zero contact angle need no special case.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -47,17 +47,13 @@ def check_request(
     for name in fixed_dofs:
         if name not in DOFS:
             raise ConfigError(f"no displacement '{name}'", hint=nearest(name, DOFS))
-    if loads.shape[-1] != len(DOFS) or displacements.shape[-1] != len(DOFS):
-        raise ConfigError(
-            f"a load case has {len(DOFS)} loads and displacements, found {loads.shape[-1]} "
-            f"and {displacements.shape[-1]}"
-        )
-    sizes = {len(loads), len(displacements), cage_angle.size}
-    if cage_angle.ndim > 1 or len(sizes - {1}) > 1:
-        numbers = (
-            f"{len(loads)} load cases, {len(displacements)} of displacements and {cage_angle.size} "
-            "cage angles"
-        )
+    widths = loads.shape[-1], displacements.shape[-1]
+    if widths != (len(DOFS), len(DOFS)):
+        what = f"a load case has {len(DOFS)} loads and displacements, found {widths[0]} and {widths[1]}"
+        raise ConfigError(what)
+    sizes = len(loads), len(displacements), cage_angle.size
+    if cage_angle.ndim > 1 or len({*sizes} - {1}) > 1:
+        numbers = f"{sizes[0]} load cases, {sizes[1]} of displacements and {sizes[2]} cage angles"
         raise ConfigError(f"{numbers} do not go together", hint="one, or as many as load cases")
     for what, values in (("load", loads), ("displacement", displacements), ("cage angle", cage_angle)):
         if not np.all(np.isfinite(values)):
@@ -70,42 +66,28 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
     """Rollers at a fixed contact angle resist three motions (two at 0 deg): the other dofs must be fixed."""
     loose = [name for name in ("bx", "by") if name not in fixed_dofs]
     if loose:
-        raise ConfigError(
-            f"rollers at a fixed contact angle leave the tilt {loose[0]} without support",
-            hint=f"hold it: displacements.{loose[0]}",
-        )
+        what = f"rollers at a fixed contact angle leave the tilt {loose[0]} without support"
+        raise ConfigError(what, hint=f"hold it: displacements.{loose[0]}")
     if bearing.contact_angle == 0 and "z" not in fixed_dofs:
         if np.any(loads[:, 2] != 0):
-            raise ConfigError(
-                "rollers at contact angle 0 carry no axial load",
-                hint="remove loads.z, or give a contact angle",
-            )
-        raise ConfigError(
-            "rollers at contact angle 0 leave z without support", hint="hold it: displacements.z"
-        )
+            what = "rollers at contact angle 0 carry no axial load"
+            raise ConfigError(what, hint="remove loads.z, or give a contact angle")
+        what = "rollers at contact angle 0 leave z without support"
+        raise ConfigError(what, hint="hold it: displacements.z")
 
 
 def check_carried(bearing: RollingBearing, at: Contacts) -> None:
     """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
     deg.
     """
-    for wrong, pressed in (
-        (at.deflection > bearing.reach, True),
-        ((at.deflection > 0) & (at.cos < 0), False),
-    ):
-        if not np.any(wrong):
-            continue
-        case, element = (int(n) for n in np.argwhere(wrong)[0])
-        what = f"{_case(case, len(wrong))}element {element + 1}"
-        if pressed:
-            raise FitError(
-                f"{what} is pressed in by {1e6 * at.deflection[case, element]:.4g} um",
-                hint=f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements",
-            )
-        raise FitError(
-            f"{what} carries at a contact angle beyond 90 deg: the rings have come apart",
-            hint="the bearing cannot carry this load",
-        )
+    for case, element in np.argwhere(at.deflection > bearing.reach)[:1].tolist():
+        what = f"is pressed in by {1e6 * at.deflection[case, element]:.4g} um"
+        hint = f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements"
+        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
+    for case, element in np.argwhere((at.deflection > 0) & (at.cos < 0))[:1].tolist():
+        what = "carries at a contact angle beyond 90 deg: the rings have come apart"
+        hint = "the bearing cannot carry this load"
+        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
 
 
 def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> None:
@@ -115,15 +97,9 @@ def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> No
         for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True)
         if amount
     )
-    hint = (
-        "the load does not press the elements onto their tracks"
-        if not bearing.is_ball
-        else "check the size of the loads"
-    )
-    raise FitError(
-        f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}",
-        hint=hint,
-    )
+    what = f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}"
+    of_rollers = "the load does not press the elements onto their tracks"
+    raise FitError(what, hint="check the size of the loads" if bearing.is_ball else of_rollers)
 
 
 def _case(case: int, n_case: int) -> str:
@@ -210,12 +186,8 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
         if not active.any():
             return u, solved
         if not active.all():
-            unsolved, problem, trial, step = (
-                unsolved[active],
-                problem.of_cases(active),
-                trial.of_cases(active),
-                step[active],
-            )
+            unsolved, step = unsolved[active], step[active]
+            problem, trial = problem.of_cases(active), trial.of_cases(active)
         u[unsolved] = line_search(problem, trial, step)
     return u, solved
 
@@ -333,7 +305,7 @@ class Equilibrium:
         index = [DOFS.index(name) for name in self.free]
         if not index:
             return np.ones(len(self.load), dtype=bool)
-        scale = np.array([1, 1, 1, 1 / self.bearing.pitch_radius, 1 / self.bearing.pitch_radius])
+        scale = 1 / np.array([1, 1, 1, self.bearing.pitch_radius, self.bearing.pitch_radius])
         eigenvalues = np.linalg.eigvalsh((self.stiffness * np.outer(scale, scale))[:, index][:, :, index])
         return eigenvalues[:, 0] > 1e-10 * eigenvalues[:, -1]
 
@@ -368,12 +340,9 @@ def equilibrium(
         frame = ElementFrame.at(angles, bearing.pitch_radius)
         at = contacts(bearing, displacement, frame)
         free = tuple(name for name in DOFS if name not in fixed_dofs)
+        forces = load_sum(at, frame), stiffness_sum(at, frame)
         case_angles = np.broadcast_to(angles, at.load.shape)
-        parts.append(
-            Equilibrium(
-                bearing, displacement, load_sum(at, frame), stiffness_sum(at, frame), at, case_angles, free
-            )
-        )
+        parts.append(Equilibrium(bearing, displacement, *forces, at, case_angles, free))
     return _join(parts)
 
 
@@ -396,25 +365,10 @@ def _solve_part(
 
 
 def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
-    at = Contacts(
-        *(
-            np.concatenate([getattr(part.contacts, field.name) for part in parts])
-            for field in fields(Contacts)
-        )
-    )
+    def joined(of: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
+        return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
+
+    at = Contacts(**joined([part.contacts for part in parts], (field.name for field in fields(Contacts))))
     check_carried(parts[0].bearing, at)
-    names = ("displacement", "load", "stiffness", "angles")
-    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return replace(parts[0], contacts=at, **joined)
-
-
-def load_vector(**loads: float) -> FloatArray:
-    """(Fx, Fy, Fz, Mx, My) from named loads, (5,) [N, N m]: load_vector(y=-24, z=427); names x y z mx my.
-
-    ConfigError for another name.
-    """
-    names = ("x", "y", "z", "mx", "my")
-    unknown = [name for name in loads if name not in names]
-    if unknown:
-        raise ConfigError(f"no load '{unknown[0]}'", hint=f"known: {', '.join(names)}")
-    return np.array([loads.get(name, 0.0) for name in names])
+    own = joined(parts, ("displacement", "load", "stiffness", "angles"))
+    return replace(parts[0], contacts=at, **own)

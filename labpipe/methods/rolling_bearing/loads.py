@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.records.response import FrequencyResponse, Port
 
 DOFS = ("x", "y", "z", "bx", "by")
@@ -53,26 +53,21 @@ class RollingBearing:
 
     def __post_init__(self) -> None:
         if self.elements < MIN_ELEMENTS:
-            raise ConfigError(
-                f"{self.elements} rolling elements do not make a bearing", hint=f"{MIN_ELEMENTS} or more"
-            )
+            what = f"{self.elements} rolling elements do not make a bearing"
+            raise SettingError("elements", what, f"{MIN_ELEMENTS} or more")
         if self.elements > MAX_ELEMENTS:
-            raise ConfigError(
-                f"a bearing of {self.elements} rolling elements is not computed", hint=f"up to {MAX_ELEMENTS}"
-            )
+            what = f"a bearing of {self.elements} rolling elements is not computed"
+            raise SettingError("elements", what, f"up to {MAX_ELEMENTS}")
         for name in ("stiffness_constant", "pitch_radius", "groove_distance"):
             amount = getattr(self, name)
             if amount is not None and not 0 < amount < np.inf:
-                raise ConfigError(f"{name} must be above zero, found {amount:g}")
+                raise SettingError(name, f"{name} must be above zero, found {amount:g}")
         if not abs(self.contact_angle) < np.pi / 2:
-            raise ConfigError("the contact angle must lie between -90 and 90 deg")
-        if self.groove_distance is not None and self.clearance >= self.groove_distance * np.cos(
-            self.contact_angle
-        ):
-            raise ConfigError(
-                "the clearance is larger than the groove centres' radial distance",
-                hint="it is the radial clearance",
-            )
+            raise SettingError("contact_angle", "the contact angle must lie between -90 and 90 deg")
+        radial = (self.groove_distance or np.inf) * np.cos(self.contact_angle)
+        if self.clearance >= radial:
+            what = "the clearance is larger than the groove centres' radial distance"
+            raise SettingError("clearance", what, "it is the radial clearance")
 
     @property
     def is_ball(self) -> bool:
@@ -140,7 +135,6 @@ def weighted_sum(weights: FloatArray, vectors: FloatArray) -> FloatArray:
 
 
 def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
-    """v_j . q: (n_case, z)."""
     if vectors.ndim == 2:
         return q @ vectors.T
     return (vectors @ q[:, :, None])[:, :, 0]
@@ -185,7 +179,6 @@ def contacts(bearing: RollingBearing, q: FloatArray, frame: ElementFrame) -> Con
 
 
 def _hertz(delta: FloatArray, bearing: RollingBearing) -> tuple[FloatArray, FloatArray]:
-    """Q = K_n delta^n and dQ/ddelta = n K_n delta^(n-1)."""
     root = np.sqrt(delta) if bearing.is_ball else delta ** (bearing.exponent - 1)
     stiff = bearing.stiffness_constant * root
     return stiff * delta, bearing.exponent * stiff
@@ -215,24 +208,7 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
 
 
 def _square(vectors: FloatArray, weights: FloatArray) -> FloatArray:
-    """sum_j w_j v_j v_j^T: *vectors* (n_case, z, 5), *weights* (n_case, z) -> (n_case, 5, 5)."""
     return np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors
-
-
-def bearing_loads(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """Loads (Fx, Fy, Fz [N], Mx, My [N m]) on the inner ring at displacements *q* (n_case, 5) [m, rad]."""
-    displacement = np.atleast_2d(np.asarray(q, np.float64))
-    frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
-    return load_sum(contacts(bearing, displacement, frame), frame)
-
-
-def bearing_stiffness(bearing: RollingBearing, q: ArrayLike, cage_angle: ArrayLike = 0.0) -> FloatArray:
-    """K = d(loads)/dq at the displacements *q* (n_case, 5) [m, rad]: (n_case, 5, 5) [N/m, N/rad, N m/rad],
-    symmetric.
-    """
-    displacement = np.atleast_2d(np.asarray(q, np.float64))
-    frame = ElementFrame.at(bearing.angles(cage_angle), bearing.pitch_radius)
-    return stiffness_sum(contacts(bearing, displacement, frame), frame)
 
 
 @dataclass(frozen=True)
@@ -308,30 +284,23 @@ def theoretical_response(
     transfer_matrix does.
     """
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
-    return FrequencyResponse(
-        frequency,
-        transfer_matrix(shaft, stiffness, frequency, beta),
-        ports,
-        ports,
-        form="receptance",
-        name=name,
-    )
+    matrix = transfer_matrix(shaft, stiffness, frequency, beta)
+    return FrequencyResponse(frequency, matrix, ports, ports, form="receptance", name=name)
 
 
-def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray, known_inertia: bool = False) -> FloatArray:
+def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray) -> FloatArray:
     """Stiffness from a one-dof fit at each dof's main peak, lightly damped: k_i = w_r^2 / phi_ir^2, (5,)
     [N/m, N m/rad].
 
-    With *known_inertia* the fit's mass is M_ii instead of the modal 1/phi_ir^2: k_i = M_ii w_r^2. Neither
-    equals K_ii: at the peak the coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir,
+    With a known mass M_ii in place of the modal 1/phi_ir^2 it is k_i = M_ii w_r^2. Neither equals K_ii: at
+    the peak the coupled dofs move as well, M_ii w_r^2 = K_ii + sum_j K_ij phi_jr / phi_ir,
     which makes the lower mode of a coupled pair appear softer and the upper one stiffer. A measured fit is
     therefore to be compared with the fit of the theoretical curve, not with K_ii. Equation (roll-sdof).
     """
     shaft_modes = modes(shaft, stiffness)
     main = [shaft_modes.main_mode(dof) for dof in DOFS]
     squares = (2 * np.pi * shaft_modes.frequency[main]) ** 2
-    apparent = squares * shaft.inertias
-    return apparent if known_inertia else apparent / shaft_modes.share[range(len(DOFS)), main]
+    return squares * shaft.inertias / shaft_modes.share[range(len(DOFS)), main]
 
 
 RADIAL = (0, 1)
@@ -343,9 +312,8 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     ConfigError for k_s not above zero. Equation (roll-series-matrix).
     """
     if not bending > 0:
-        raise ConfigError(
-            f"the bending stiffness of the shaft is {bending:g} N/m", hint="it must be above zero"
-        )
+        what = f"the bending stiffness of the shaft is {bending:g} N/m"
+        raise ConfigError(what, hint="it must be above zero")
     whole = np.asarray(stiffness, np.complex128)
     if np.isinf(bending):
         return whole
@@ -368,6 +336,5 @@ def bent_transfer_matrix(
     try:
         return np.asarray(np.linalg.inv(dynamic))
     except np.linalg.LinAlgError:
-        raise FitError(
-            "the dynamic stiffness is singular at a line", hint="give a damping factor, or leave out 0 Hz"
-        ) from None
+        hint = "give a damping factor, or leave out 0 Hz"
+        raise FitError("the dynamic stiffness is singular at a line", hint=hint) from None

@@ -28,12 +28,22 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import receptance_factor
-from labpipe.uncertainty.amounts import chance, change_in, common_changes, from_log, matrix_of, with_error
+from labpipe.uncertainty.amounts import (
+    chance,
+    change_in,
+    common_changes,
+    from_log,
+    matrix_of,
+    random_error,
+    with_error,
+)
 from labpipe.uncertainty.compare import OF_TESTS, Evidence
 from labpipe.uncertainty.observations import Campaign
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
 from labpipe.uncertainty.weighted import WeightedFit, weighted_fit, weighted_mean
 
+# ln beta = ln c - ln k of the logarithms of these.
+COEFFICIENTS, BETA = ("k", "c"), np.array([-1.0, 1.0])
 TILTS = (3, 4)
 STEP = 1e-4
 TOLERANCE = 1e-8
@@ -105,33 +115,30 @@ def match(
 
     def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
         beta = float(np.exp(log[1]))
-        matrix = _theory_curve(
-            curve, theory.shaft, (float(np.exp(log[0])) * stiffness), beta, shaft_stiffness
-        )[:, None, None]
+        scaled = float(np.exp(log[0])) * stiffness
+        matrix = _theory_curve(curve, theory.shaft, scaled, beta, shaft_stiffness)[:, None, None]
         (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
-        return np.log([_positive(fit, "k"), _positive(fit, "c")])
+        return _logarithms(fit)
 
-    measured = np.log([_positive(fit, "k"), _positive(fit, "c")])
+    measured = _logarithms(fit)
     start = np.array([0.0, measured[1] - measured[0]])
     log, slopes = _solve(lambda u: fitted(u, theory.stiffness, bending), measured, start)
     inverse = np.linalg.inv(slopes)
     solution = fitted(log, theory.stiffness, bending)
-    to_bending = (
-        np.zeros(2)
-        if np.isinf(bending)
-        else (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
-    )
+    to_bending = np.zeros(2)
+    if np.isfinite(bending):
+        to_bending = (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
     to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
     theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
     covariance = inverse @ log_covariance(fit) @ inverse.T
-    to_sources = {source: inverse @ change for source, change in _log_changes(fit).items()}
+    sources = () if fit.budget is None else fit.budget.sources
+    to_sources = {of.source: inverse @ _log_change(fit, of.source) for of in sources}
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
 def _solve(
     function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The root of function(u) = target and the slopes (2, 2) near it."""
     u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(u)
@@ -146,38 +153,41 @@ def _solve(
     raise FitError("no multiple of the theory's stiffness gives the measured fit", hint=hint)
 
 
-def _positive(fit: Fit, name: str) -> float:
-    value = fit.parameter(name).value
-    if not value > 0:
-        whose = f"of test {fit.test}" if fit.test else "of the theory's own curve"
-        hint = "" if fit.test else "its resonance lies outside the band of the fit"
-        raise FitError(f"{name} {whose} is {value:g}, impossible for the bearing of the theory", hint=hint)
-    return value
+def _coefficient(fit: Fit, name: str) -> Parameter:
+    found = next((parameter for parameter in fit.parameters if parameter.name == name), None)
+    if found is None:
+        raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
+    return found
 
 
-def _log_changes(fit: Fit) -> dict[str, FloatArray]:
-    if fit.budget is None:
-        return {}
-    names = ("k", "c")
-    return {
-        source.source: np.array(
-            [change_in(fit, source.source, name) / fit.parameter(name).value for name in names]
-        )
-        for source in fit.budget.sources
-    }
+def _logarithms(fit: Fit) -> FloatArray:
+    """ln k and ln c, (2,)."""
+    values = [_coefficient(fit, name).value for name in COEFFICIENTS]
+    for name, value in zip(COEFFICIENTS, values, strict=True):
+        if not value > 0:
+            whose = f"of test {fit.test}" if fit.test else "of the theory's own curve"
+            hint = "" if fit.test else "its resonance lies outside the band of the fit"
+            raise FitError(f"{name} {whose} is {value:g}, impossible for a bearing", hint=hint)
+    return np.log(values)
+
+
+def _log_change(fit: Fit, source: str) -> FloatArray:
+    return np.array([change_in(fit, source, name) / fit.parameter(name).value for name in COEFFICIENTS])
 
 
 def log_covariance(fit: Fit) -> FloatArray:
-    """Covariance of ln k and ln c, (2, 2) [1], from the fit's standard errors and correlation. FitError
-    without standard errors.
+    """Covariance of ln k and ln c, (2, 2) [1], from the errors of this test alone and the fit's correlation.
+    FitError without standard errors.
     """
-    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
-    places = [names.index("k"), names.index("c")]
-    chosen = [fit.parameters[place] for place in places]
-    errors = [parameter.std_error for parameter in chosen if parameter.std_error is not None]
-    if len(errors) < len(chosen):
-        raise FitError(f"k or c of test {fit.test} has no standard error")
-    relative = np.array(errors) / [parameter.value for parameter in chosen]
+    chosen = [_coefficient(fit, name) for name in COEFFICIENTS]
+    relative = []
+    for parameter in chosen:
+        error = random_error(fit, parameter)
+        if error is None or parameter.derived:
+            raise FitError(f"{parameter.name} of test {fit.test} has no standard error of its own")
+        relative.append(error / parameter.value)
+    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
+    places = [estimated.index(parameter) for parameter in chosen]
     return fit.correlation[np.ix_(places, places)] * np.outer(relative, relative)
 
 
@@ -211,17 +221,13 @@ def _curve(
     fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
 ) -> _Curve:
     if not settings.kind.one_frf or fit.curve is None:
-        raise ConfigError(
-            f"fit '{fit.name}' is not of the model sdof",
-            hint="only one-dof fits are compared with those of the theory",
-        )
+        hint = "only one-dof fits are compared with those of the theory"
+        raise ConfigError(f"fit '{fit.name}' is not of the model sdof", hint=hint)
     if settings.damping != VISCOUS:
         raise ConfigError(f"fit '{fit.name}' has {settings.damping} damping", hint="the theory's is viscous")
     if settings.subtract is not None or settings.share != 1:
-        raise ConfigError(
-            f"fit '{fit.name}' is corrected for support or share",
-            hint="compare the fit of the whole with the theory",
-        )
+        hint = "compare the fit of the whole with the theory"
+        raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint=hint)
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
     column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
     lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)
@@ -261,10 +267,8 @@ def _curve(
 def _place(port: Port) -> int:
     name = next((name for name in (port.dof, port.label) if name in DOFS), None)
     if name is None:
-        raise ConfigError(
-            f"'{port.label}' is no dof of the bearing's theory",
-            hint=f"give its dof in the rig file: {', '.join(DOFS)}",
-        )
+        hint = f"give its dof in the rig file: {', '.join(DOFS)}"
+        raise ConfigError(f"'{port.label}' is no dof of the bearing's theory", hint=hint)
     return DOFS.index(name)
 
 
@@ -272,10 +276,8 @@ def _arm(rig: Rig, place: int) -> float:
     if place not in TILTS:
         return 1.0
     if rig.arm is None:
-        raise ConfigError(
-            f"the tilt {DOFS[place]} is compared without an arm",
-            hint="theory: {arm: 100 mm}, the place of the shaker",
-        )
+        hint = "theory: {arm: 100 mm}, the place of the shaker"
+        raise ConfigError(f"the tilt {DOFS[place]} is compared without an arm", hint=hint)
     return rig.arm
 
 
@@ -355,7 +357,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         logs = np.array([test.log[1] for test in matched])
         covariance = joint_covariance(matched, 1, campaign.settings.setting_error, bending_error)
     mean = weighted_mean(logs, covariance)
-    stiffness = np.log([observation.fit.parameter("k").value for observation in campaign.observations])
+    stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
     change = weighted_fit(columns, logs, covariance)
     exponent = with_error("exponent", "1", 1 + float(change.values[1]), change.std_error(1), change.quantile)
@@ -378,18 +380,10 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
     """ln(c / k) and its covariance (n, n), by each fit and by what the fits have in common."""
-    covariances = [log_covariance(fit) for fit in fits]
-    logs = np.array([np.log(fit.parameter("c").value / fit.parameter("k").value) for fit in fits])
-    variances = np.diag([c[0, 0] + c[1, 1] - 2 * c[0, 1] for c in covariances])
-    common = common_changes(fits, _log_beta_change)
+    logs = np.array([_logarithms(fit) @ BETA for fit in fits])
+    variances = np.diag([BETA @ log_covariance(fit) @ BETA for fit in fits])
+    common = common_changes(fits, lambda fit, source: float(_log_change(fit, source) @ BETA))
     return logs, variances + common.T @ common
-
-
-def _log_beta_change(fit: Fit, source: str) -> float:
-    return (
-        change_in(fit, source, "c") / fit.parameter("c").value
-        - change_in(fit, source, "k") / fit.parameter("k").value
-    )
 
 
 # The condition is raised by this share for the slope of the theory.
@@ -413,9 +407,8 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
         shaft = getattr(low, "shaft", None)
         if here.dofs != DOFS or shaft is None:
             hint = "a ball or roller bearing with shaft: {mass, inertia_x} is needed"
-            raise ConfigError(
-                "the bearing file has no shaft on a bearing of five dofs", where=str(file.path), hint=hint
-            )
+            what = "the bearing file has no shaft on a bearing of five dofs"
+            raise ConfigError(what, file.path, hint)
         return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body)
 
     return at

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from scipy import special
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing
 from labpipe.records.settings import Settings, quantity, setting
 
@@ -29,9 +29,8 @@ class Material:
 
     def __post_init__(self) -> None:
         if not (0 < self.youngs_modulus < np.inf and -1 < self.poissons_ratio <= 0.5):
-            raise ConfigError(
-                "a material needs Young's modulus above zero and Poisson's ratio between -1 and 0.5"
-            )
+            what = "a material needs Young's modulus above zero and Poisson's ratio between -1 and 0.5"
+            raise ConfigError(what)
 
     @property
     def compliance(self) -> float:
@@ -61,10 +60,8 @@ class BallGeometry:
             raise ConfigError("the ball diameter must lie between zero and the pitch diameter")
         for name in ("inner_conformity", "outer_conformity"):
             if not 0.5 < getattr(self, name) < 2:
-                raise ConfigError(
-                    f"{name} must lie above 0.5 (a groove as narrow as the ball) and below 2",
-                    hint="0.52 is usual",
-                )
+                what = f"{name} must lie above 0.5 (a groove as narrow as the ball) and below 2"
+                raise SettingError(name, what, "0.52 is usual")
 
     @property
     def groove_distance(self) -> float:
@@ -107,19 +104,13 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
     1/E* = sum (1 - nu^2)/E. Raises ConfigError for other bodies. Equation (roll-point-contact).
     """
     if not (along > 0 and across > 0):
-        raise ConfigError(
-            "the bodies do not touch in a point", hint="both summed curvatures must be positive"
-        )
+        hint = "both summed curvatures must be positive"
+        raise ConfigError("the bodies do not touch in a point", hint=hint)
     modulus = 1 / (first.compliance + second.compliance)
     k = ellipse_ratio(min(along, across) / max(along, across))
     first_kind, second_kind = float(special.ellipk(1 - k**2)), float(special.ellipe(1 - k**2))
-    per_load = (
-        3
-        * k
-        * first_kind
-        / (2 * np.pi * modulus)
-        * (np.pi * modulus * (along + across) / (3 * k * second_kind)) ** (1 / 3)
-    )
+    size = (np.pi * modulus * (along + across) / (3 * k * second_kind)) ** (1 / 3)
+    per_load = 3 * k * first_kind / (2 * np.pi * modulus) * size
     return float(per_load ** (-3 / 2))
 
 
@@ -283,10 +274,8 @@ class RollingSettings(Settings, ABC):
     def __post_init__(self) -> None:
         for dof, load in LOAD_OF_DOF.items():
             if getattr(self.displacements, dof) is not None and getattr(self.loads, load) is not None:
-                raise ConfigError(
-                    f"displacements.{dof} and loads.{load} are both given",
-                    hint="one follows from the other: give one",
-                )
+                what = f"displacements.{dof} and loads.{load} are both given"
+                raise SettingError("displacements", what, "one follows from the other: give one")
         self.require_not_negative("damping_factor")
         self.bearing()
 
@@ -317,13 +306,10 @@ class BallBearingSettings(RollingSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.geometry and self.geometry.ball_diameter > self.geometry.pitch_diameter * np.sin(
-            np.pi / self.elements
-        ):
-            raise ConfigError(
-                f"{self.elements} balls of {1e3 * self.geometry.ball_diameter:g} mm do not "
-                "fit on the pitch circle"
-            )
+        gap = np.sin(np.pi / self.elements)
+        if self.geometry and self.geometry.ball_diameter > self.geometry.pitch_diameter * gap:
+            balls = f"{self.elements} balls of {1e3 * self.geometry.ball_diameter:g} mm"
+            raise SettingError("geometry", f"{balls} do not fit on the pitch circle")
 
     def bearing(self) -> RollingBearing:
         shape = None if self.geometry is None else self.geometry.at(self.contact_angle)
@@ -361,16 +347,10 @@ class RollerBearingSettings(RollingSettings):
         return tuple(dof for dof in LOAD_OF_DOF if dof in explicit or dof in silent)
 
     def bearing(self) -> RollingBearing:
-        constant = needed(
-            "stiffness_constant", self.stiffness_constant, self.hertz_constant(), "roller_length"
-        )
-        return RollingBearing(
-            self.elements,
-            constant,
-            needed("pitch_radius", self.pitch_radius, None),
-            self.contact_angle,
-            self.clearance,
-        )
+        derived = self.hertz_constant()
+        constant = needed("stiffness_constant", self.stiffness_constant, derived, "roller_length")
+        radius = needed("pitch_radius", self.pitch_radius, None)
+        return RollingBearing(self.elements, constant, radius, self.contact_angle, self.clearance)
 
     def hertz_constant(self) -> float | None:
         return None if self.roller_length is None else roller_stiffness_constant(self.roller_length)
@@ -380,8 +360,6 @@ def needed(name: str, explicit: float | None, derived: float | None, source: str
     """The explicit value, else the derived one; ConfigError where there is neither."""
     amount = derived if explicit is None else explicit
     if amount is None:
-        raise ConfigError(
-            f"{name}: is missing",
-            hint=f"give it, or {source} from which it follows" if name != "pitch_radius" else "",
-        )
+        hint = f"give it, or {source} from which it follows" if name != "pitch_radius" else ""
+        raise SettingError(name, f"{name}: is missing", hint)
     return amount

@@ -108,6 +108,8 @@ class VirtualBallBearingRig(Settings):
         self.require_positive("stiffness_ratio", "arm", "string_factor", "strip_factor")
         self.require_positive("mountings", "repeats")
         self.require_not_negative("damping_factor")
+        if self.hysteresis <= -1:
+            raise SettingError("hysteresis", "'hysteresis' takes all stiffness away", "above -100 %")
         if self.angular is not None and self.angular.name == self.deep_groove.name:
             raise SettingError("angular", f"both bearings are named '{self.angular.name}'", "rename one")
 
@@ -222,7 +224,6 @@ def _channels(force: str) -> tuple[Channel, ...]:
 
 
 def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> virtual_rigs.SimulatedRun:
-    """Force against the string's frequency (P = a f^2), or the strip's voltage (F = b S + c)."""
     rng = virtual_rigs.generator(seed, name)
     force = np.linspace(150.0, 1800.0, CALIBRATION_POINTS)
     if name == "string":

@@ -31,7 +31,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.journal_bearing.curve import JournalCurve, journal_curve, sommerfeld_number
+from labpipe.methods.journal_bearing.curve import JournalCurve, curve_of, sommerfeld_number
 from labpipe.methods.rotor.pinned import (
     CoefficientsAtSpeed,
     CondensedRotor,
@@ -86,7 +86,7 @@ class FilmFamily:
 
     @property
     def curve(self) -> JournalCurve:
-        return journal_curve(self.bearing.length / self.bearing.diameter, self.bearing.groove_width)
+        return curve_of(self.bearing)
 
     def sommerfeld(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> FloatArray:
         """S (n_point,) of the parameters *values* (12,) at loads [N] and speeds [rad/s], (n_point,)."""
@@ -331,8 +331,7 @@ class RunUpRotor:
             stiffness = np.stack([point.stiffness for point in points])
             damping = np.stack([point.damping for point in points])
             return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
-        curve = journal_curve(bearing.length / bearing.diameter, bearing.groove_width)
-        found = curve.coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        found = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
         return found.stiffness * scale, found.damping * scale / speed[..., None, None]
 

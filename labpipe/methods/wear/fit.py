@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import FitError
+from labpipe.errors import ConfigError, FitError
 from labpipe.estimation import diagnostics
 from labpipe.estimation.budget import Source, with_sources
 from labpipe.estimation.derived import drawn_densely, reported_fit
@@ -18,24 +18,10 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, student_limit
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
+from labpipe.methods.wear import search
 from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
-from labpipe.methods.wear.search import (
-    LEAST_INFORMATION,
-    Interval,
-    Minimum,
-    film_covariance,
-    healthy_minimum,
-    healthy_probability,
-    joint_region,
-    merge,
-    minima,
-    profile_interval,
-    refine,
-    start_mesh,
-    widen,
-    widened_region,
-)
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
+from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -45,30 +31,27 @@ from labpipe.records.response import FrequencyResponse
 # parameters.
 RIVAL = 9.21
 AT_BOUND = 1e-4
+# Share by which the speeds of a test and of its rotor file may differ.
+SAME_SPEED = 0.01
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
 
 
-def bounds_reached(misfit: Misfit, best: Minimum) -> tuple[str, ...]:
+def bounds_reached(misfit: Misfit, best: search.Minimum) -> tuple[str, ...]:
     model = misfit.model
     margin = AT_BOUND * (model.high - model.low)
     at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
     return tuple(name for name, hit in zip(model.names, at, strict=True) if hit)
 
 
-def bound_findings(names: Sequence[str]) -> list[Finding]:
-    findings = []
-    for name in names:
-        reason = {
-            DEPTH: "no wear is visible, or it is deeper than depth_limit",
-            ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
-        }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
-        findings.append(
-            Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
-        )
-    return findings
+def bound_finding(name: str) -> Finding:
+    reason = {
+        DEPTH: "no wear is visible, or it is deeper than depth_limit",
+        ANGLE: "the wear is farther from the bottom than angle_limit, or the angle is not identifiable",
+    }.get(name, "the best fit lies outside the prior range; the model may lack another effect")
+    return Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
 
 
-def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
+def rival_findings(minima: Sequence[search.Minimum], misfit: Misfit) -> list[Finding]:
     best = minima[0]
     rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
@@ -83,22 +66,15 @@ def rival_findings(minima: Sequence[Minimum], misfit: Misfit) -> list[Finding]:
     return [Finding("multi-modal", message)]
 
 
-def _place(misfit: Misfit, minimum: Minimum) -> str:
+def _place(misfit: Misfit, minimum: search.Minimum) -> str:
     values = misfit.model.values(minimum.parameters)
     return f"{values[DEPTH] * 1e6:.3g} um at {np.degrees(values[ANGLE]):.3g} deg"
 
 
-def angle_findings(identifiable: bool) -> list[Finding]:
-    if identifiable:
-        return []
-    message = (
-        "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear"
-    )
-    return [Finding("not-identifiable", message)]
-
-
-def is_identifiable(interval: Interval) -> bool:
-    return not (interval.open_low and interval.open_high)
+NO_ANGLE = Finding(
+    "not-identifiable",
+    "angle not identifiable: every angle in the range fits equally well, as is usual with shallow wear",
+)
 
 
 def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
@@ -106,21 +82,18 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
     if probability < PROBABLY_WORN:
         return []
     odds = f"the probability of no wear is {probability:.3g} (prior: even odds, wear uniform over the range)"
-    if mismatch:
-        message = f"the bearing may be healthy: {odds}, given a right model, which chi-square rejects"
-        return [Finding("perhaps-healthy", message)]
-    if probability >= PROBABLY_HEALTHY:
+    if probability >= PROBABLY_HEALTHY and not mismatch:
         return [Finding("healthy", f"the bearing is probably healthy: {odds}")]
-    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}")]
+    doubt = ", given a right model, which chi-square rejects" if mismatch else ""
+    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}{doubt}")]
 
 
-def search_note(minima: Sequence[Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
+def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
     total = sum(minimum.starts for minimum in minima)
-    best = minima[0]
-    cells = f"{mesh.around} x {mesh.across}"
     return (
-        f"{best.starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on oil "
-        f"films of {cells} cells around tables of {settings.cells_around} x {settings.cells_across}."
+        f"{minima[0].starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on "
+        f"oil films of {mesh.around} x {mesh.across} cells around tables of {settings.cells_around} x "
+        f"{settings.cells_across}."
     )
 
 
@@ -141,7 +114,7 @@ class _Solved:
     """All minima, the best first, misfit [std. dev.], covariances (n, n), least chi-square unworn."""
 
     misfit: Misfit
-    minima: tuple[Minimum, ...]
+    minima: tuple[search.Minimum, ...]
     noise_covariance: FloatArray
     film_covariance: FloatArray
     healthy_chi2: float | None = None
@@ -151,7 +124,7 @@ class _Solved:
         return self.noise_covariance + self.film_covariance
 
     @property
-    def best(self) -> Minimum:
+    def best(self) -> search.Minimum:
         return self.minima[0]
 
     @property
@@ -167,20 +140,19 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     response cannot support the fit.
     """
     wear: WearSettings = settings.model_settings
+    _check_speed(response, wear)
     measured = worn_receptance(response, settings, wear)
     solved = _solve(measured, wear)
     estimate = _estimate(solved)
     parameters, findings = _report(solved, estimate)
-    frequency = measured.frequency
+    frequency, name = measured.frequency, NAMES[wear.objective]
     lines = np.isin(response.frequency, frequency)
     band = settings.band or (float(frequency[0]), float(frequency[-1]))
     fit = replace(
         reported_fit(settings, estimate, parameters, band, frequency.size, solved.misfit.n_prior),
-        estimator=NAMES[wear.objective],
+        estimator=name,
         findings=(
-            *_estimate_findings(
-                solved, estimate, "" if wear.objective == "complex" else NAMES[wear.objective]
-            ),
+            *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else name),
             *findings,
             *diagnostics.quality_findings(response, [0, 1], [0, 1], lines),
         ),
@@ -189,6 +161,16 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         details=_region(solved, parameters),
     )
     return with_sources(fit, _sources(solved, measured, wear, len(parameters)))
+
+
+def _check_speed(response: FrequencyResponse, wear: WearSettings) -> None:
+    try:
+        speed, unit = si_amount(response.conditions.get("speed", ""))
+    except UnitError:
+        return
+    if wear.rig is not None and unit == "Hz" and abs(speed - wear.rig.speed) > SAME_SPEED * wear.rig.speed:
+        what = f"the test ran at {speed:g} Hz, the rotor of its fit turns at {wear.rig.speed:g} Hz"
+        raise ConfigError(what, hint="name a rotor file of that speed with wear.rotor")
 
 
 def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
@@ -204,22 +186,23 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
     step = solved.noise_covariance @ misfit.jacobian(best)[: -misfit.n_prior or None].T
     beside = np.zeros(n_parameter - len(misfit.model.names))
 
-    def values(change: ComplexArray) -> FloatArray:
-        moved = replace(
-            measured, measured=replace(measured.measured, matrix=measured.measured.matrix + change)
-        )
-        residual = MISFITS[objective](misfit.model, moved).compared(modelled, of_parameters)[0] / misfit.size
+    def residual(of: WornReceptance, terms: ComplexArray) -> FloatArray:
+        return MISFITS[objective](misfit.model, of).compared(terms, of_parameters)[0] / misfit.size
+
+    def changed(residual: FloatArray) -> FloatArray:
         return np.concatenate([-misfit.model.scale * (step @ residual), beside])
+
+    def values(change: ComplexArray) -> FloatArray:
+        moved = replace(measured.measured, matrix=measured.measured.matrix + change)
+        return changed(residual(replace(measured, measured=moved), modelled))
 
     def by_bearings(source: str) -> FloatArray:
         change = np.zeros(step.shape[1])
         for pair in misfit.model.rig.ends(source):
             for rig, half in zip(pair, (0.5, -0.5), strict=True):
                 model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, False)
-                moved = measured.terms(model.response(best)[0])
-                compared = MISFITS[objective](misfit.model, measured).compared(moved, of_parameters)[0]
-                change += half * compared / misfit.size
-        return np.concatenate([-misfit.model.scale * (step @ change), beside])
+                change += half * residual(measured, measured.terms(model.response(best)[0]))
+        return changed(change)
 
     return [
         *changes_by(measured.errors, values),
@@ -229,13 +212,11 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
 
 def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     misfit = MISFITS[wear.objective](worn_model(wear, measured.frequency), measured)
-    n_response = misfit.residual(start_mesh(wear, misfit)[0]).size - misfit.n_prior
+    n_response = misfit.residual(search.start_mesh(wear, misfit)[0]).size - misfit.n_prior
     if n_response <= len(misfit.model.names) - misfit.n_prior:
-        raise FitError(
-            f"{n_response} equations cannot determine {len(misfit.model.names)} parameters",
-            hint="use more lines or terms",
-        )
-    candidates = minima(misfit, start_mesh(wear, misfit))
+        what = f"{n_response} equations cannot determine {len(misfit.model.names)} parameters"
+        raise FitError(what, hint="use more lines or terms")
+    candidates = search.minima(misfit, search.start_mesh(wear, misfit))
     for _ in range(0 if misfit.weighted else SIZINGS):
         refined_misfit, ranked = _rank(misfit, candidates[:1])
         residual = refined_misfit.residual(ranked[0].parameters)[: -refined_misfit.n_prior or None]
@@ -245,35 +226,29 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         if not misfit.n_prior:
             candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
             break
-        candidates = minima(misfit, start_mesh(wear, misfit))
+        candidates = search.minima(misfit, search.start_mesh(wear, misfit))
     misfit, ranked = _rank(misfit, candidates)
     healthy_chi2 = None
     if DEPTH in misfit.model.names:
-        without, healthy = healthy_minimum(misfit, ranked[0])
+        without, healthy = search.healthy_minimum(misfit, ranked[0])
         healthy_chi2 = healthy.chi2
         if healthy.chi2 < ranked[0].chi2 + ALIKE:
-            misfit, ranked = without, merge([healthy, *ranked])
-    jacobian = misfit.jacobian(ranked[0].parameters)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
-    return _Solved(
-        misfit,
-        tuple(ranked),
-        covariance,
-        film_covariance(misfit, ranked[0].parameters, covariance),
-        healthy_chi2,
-    )
+            misfit, ranked = without, search.merge([healthy, *ranked])
+    covariance = search.covariance_of(misfit, ranked[0])
+    by_films = search.film_covariance(misfit, ranked[0].parameters, covariance)
+    return _Solved(misfit, tuple(ranked), covariance, by_films, healthy_chi2)
 
 
-def _rank(misfit: Misfit, candidates: list[Minimum]) -> tuple[Misfit, list[Minimum]]:
+def _rank(misfit: Misfit, candidates: list[search.Minimum]) -> tuple[Misfit, list[search.Minimum]]:
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
         if candidate.converged and candidate.chi2 <= candidates[0].chi2 + NEAR * (candidates[0].chi2 + 100)
     ]
-    pairs = [refine(misfit, candidate) for candidate in near] or [refine(misfit, candidates[0])]
+    pairs = [search.refine(misfit, candidate) for candidate in near] or [search.refine(misfit, candidates[0])]
     pairs.sort(key=lambda pair: (not pair[1].converged, pair[1].chi2))
     others = [candidate for candidate in candidates if not any(candidate is other for other in near)]
-    return pairs[0][0], merge([*(pair[1] for pair in pairs), *others])
+    return pairs[0][0], search.merge([*(pair[1] for pair in pairs), *others])
 
 
 def _estimate(solved: _Solved) -> Estimate:
@@ -281,8 +256,8 @@ def _estimate(solved: _Solved) -> Estimate:
     measured, names = misfit.receptance, misfit.model.names
     jacobian, sensitive = misfit.jacobian(best.parameters), list(_sensitive_parameters(solved))
     measured_terms = measured.terms(measured.measured.matrix)
-    modelled_terms = measured.terms(misfit.model.response(best.parameters)[0])
-    r2, adjusted = determination(measured_terms, measured_terms - modelled_terms, len(names))
+    modelled = measured.terms(misfit.model.response(best.parameters)[0])
+    r2, adjusted = determination(measured_terms, measured_terms - modelled, len(names))
     reduced, p_value = None, None
     if misfit.weighted:
         reduced = best.chi2 / misfit.excess / dof
@@ -302,45 +277,42 @@ def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...],
     misfit, best = solved.misfit, solved.best
     at = bounds_reached(misfit, best)
     intervals = _intervals(solved)
-    identifiable = ANGLE not in intervals or is_identifiable(intervals[ANGLE])
-    factors = dict(
-        zip(_sensitive_parameters(solved), inflation_factors(estimate.scaled_design).tolist(), strict=False)
-    )
+    identifiable = not (ANGLE in intervals and intervals[ANGLE].open_low and intervals[ANGLE].open_high)
+    inflation = inflation_factors(estimate.scaled_design).tolist()
+    factors = dict(zip(_sensitive_parameters(solved), inflation, strict=False))
     plain = [
         _parameter(solved, number, factors.get(number), intervals.get(name), identifiable)
         for number, name in enumerate(misfit.model.names)
     ]
     findings = [
-        *bound_findings([name for name in at if identifiable or name != ANGLE]),
+        *(bound_finding(name) for name in at if identifiable or name != ANGLE),
         *rival_findings(solved.minima, misfit),
     ]
     if solved.healthy_chi2 is None:
         return tuple(plain), findings
-    probability = healthy_probability(misfit, best, solved.healthy_chi2)
+    probability = search.healthy_probability(misfit, best, solved.healthy_chi2)
     plain.append(Parameter("healthy_probability", probability, "1", derived=True))
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < diagnostics.MISMATCH_P
-    return tuple(plain), [*findings, *angle_findings(identifiable), *healthy_findings(probability, mismatch)]
+    findings += [] if identifiable else [NO_ANGLE]
+    return tuple(plain), [*findings, *healthy_findings(probability, mismatch)]
 
 
-def _intervals(solved: _Solved) -> dict[str, Interval]:
+def _intervals(solved: _Solved) -> dict[str, search.Interval]:
     model, parameters, limit = solved.misfit.model, solved.best.parameters, student_limit(solved.dof)
-    noise, film = (
-        np.sqrt(np.diag(covariance)) for covariance in (solved.noise_covariance, solved.film_covariance)
-    )
+    noise, reach = np.sqrt(np.diag(solved.noise_covariance)), limit * np.sqrt(np.diag(solved.film_covariance))
     intervals = {}
     for number, name in enumerate(model.names):
         if name in (DEPTH, ANGLE):
-            interval = profile_interval(solved.misfit, solved.best, number, float(noise[number]), limit)
-            intervals[name] = widen(
-                interval, parameters[number], limit * film[number], model.low[number], model.high[number]
-            )
+            one = float(noise[number])
+            interval = search.profile_interval(solved.misfit, solved.best, number, one, limit)
+            bounds = model.low[number], model.high[number]
+            intervals[name] = search.widen(interval, parameters[number], reach[number], *bounds)
     return intervals
 
 
 def _parameter(
-    solved: _Solved, number: int, vif: float | None, interval: Interval | None, identifiable: bool
+    solved: _Solved, number: int, vif: float | None, interval: search.Interval | None, identifiable: bool
 ) -> Parameter:
-    """One parameter; no standard error of an unidentifiable angle or at a bound."""
     model = solved.misfit.model
     name, scale = model.names[number], float(model.scale[number])
     value = scale * float(solved.best.parameters[number])
@@ -361,11 +333,8 @@ def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list
         *diagnostics.estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
         *diagnostics.excess_findings(estimate, biased),
     ]
-    group = {
-        name
-        for collinear in (diagnostics.collinear_groups(estimate.scaled_design, names) if names else [])
-        for name in collinear
-    }
+    groups = diagnostics.collinear_groups(estimate.scaled_design, names) if names else []
+    group = {name for collinear in groups for name in collinear}
     along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
     return [finding for finding in findings if finding.code != "collinear" or not along]
 
@@ -380,19 +349,14 @@ def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
 
 
 def _region(solved: _Solved, parameters: tuple[Parameter, ...]) -> tuple[Region, ...]:
-    model = solved.misfit.model
-    if (
-        DEPTH not in model.names
-        or next(parameter for parameter in parameters if parameter.name == ANGLE).ci95 is None
-    ):
+    model, both = solved.misfit.model, slice(2)
+    if DEPTH not in model.names or any(p.name == ANGLE and p.ci95 is None for p in parameters):
         return ()
-    outline = joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
-    wide = widened_region(
-        outline, solved.best.parameters[:2], solved.noise_covariance[:2, :2], solved.film_covariance[:2, :2]
-    )
-    return (
-        Region((DEPTH, ANGLE), np.clip(wide, model.low[:2], model.high[:2]) * model.scale[:2], REGION_LEVEL),
-    )
+    outline = search.joint_region(solved.misfit, solved.best, solved.noise_covariance, REGION_LEVEL)
+    noise, film = solved.noise_covariance[both, both], solved.film_covariance[both, both]
+    wide = search.widened_region(outline, solved.best.parameters[both], noise, film)
+    inside = np.clip(wide, model.low[both], model.high[both]) * model.scale[both]
+    return (Region((DEPTH, ANGLE), inside, REGION_LEVEL),)
 
 
 def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -80,10 +81,9 @@ class WornModel:
         models = []
         for number, bearing in enumerate(self.bearings):
             if bearing.place.is_film:
-                shifted = bearing.shifted(bearing.mesh_error(values, self.film_mesh))
-                models.append(
-                    replace(self, bearings=(*self.bearings[:number], shifted, *self.bearings[number + 1 :]))
-                )
+                bearings = list(self.bearings)
+                bearings[number] = bearing.shifted(bearing.mesh_error(values, self.film_mesh))
+                models.append(replace(self, bearings=tuple(bearings)))
         return tuple(models)
 
     def values(self, parameters: FloatArray) -> dict[str, float]:
@@ -95,29 +95,25 @@ class WornModel:
         values = self.values(parameters)
         supports = [bearing.support(values, self.names) for bearing in self.bearings]
         beta = values.get("beta", self.rig.rotor.beta)
-        response, slopes = tables.response_with_slopes(
-            self._rotor(beta), supports, self.rig.response, self.rig.force
-        )
+        ends_of_path = self.rig.response, self.rig.force
+        response, slopes = tables.response_with_slopes(self._rotor(beta), supports, *ends_of_path)
         if "beta" in self.names:
             step = BETA_STEP * self.scale[self.names.index("beta")]
             ends = [self._standing(beta + move, supports) for move in (step, -step)]
             slopes[self.names.index("beta")] = (ends[0] - ends[1]) / (2 * step)
         slopes = slopes * self.scale[:, None, None, None]
-        return (
-            (tables.forward_backward(response), tables.forward_backward(slopes))
-            if self.directional
-            else (response, slopes)
-        )
+        if self.directional:
+            return tables.forward_backward(response), tables.forward_backward(slopes)
+        return response, slopes
 
     def _standing(self, beta: float, supports: list[tables.VaryingSupport]) -> ComplexArray:
         standing = self._rotor(beta).on(support.support for support in supports)
         return standing.response(self.rig.response, self.rig.force)
 
     def _rotor(self, beta: float) -> ReducedRotor:
-        nodes = tuple(
-            sorted({*(bearing.place.node for bearing in self.bearings), self.rig.force, self.rig.response})
-        )
-        rotor = self.rig.rotor if beta == self.rig.rotor.beta else replace(self.rig.rotor, beta=beta)
+        places = {bearing.place.node for bearing in self.bearings}
+        nodes = tuple(sorted(places | {self.rig.force, self.rig.response}))
+        rotor = replace(self.rig.rotor, beta=beta)
         return _reduced_rotor(rotor, nodes, self.frequency, self.rig.omega)
 
 
@@ -139,7 +135,7 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
     rig = _centre(settings.rig, centre)
     worn = "" if settings.healthy else rig.place(settings.bearing).name
     ranges, box = _reach(settings, prior, rig)
-    loads, mesh = rig.static_loads(), FilmMesh(settings.cells_around, settings.cells_across)
+    loads, mesh = rig.static_loads(), settings.mesh
     bearings = tuple(
         tables.tabulate(place, loads[place.name], rig.omega, place.name == worn, ranges, mesh)
         for place in rig.bearings
@@ -164,10 +160,8 @@ def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
 
 
 def _centre(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
-    """The rig with bearings and shaft damping at the prior means, around which the tables are made."""
-    film_values: dict[str, float] = {
-        name: value for name, value in centre.items() if name != "beta" and name not in SCALES
-    }
+    """The rig at the prior means, around which the tables are made."""
+    film_values = {name: value for name, value in centre.items() if name not in ("beta", *SCALES)}
     rig = rig.with_bearings((), **film_values) if film_values else rig
     return replace(rig, rotor=replace(rig.rotor, beta=centre["beta"])) if "beta" in centre else rig
 
@@ -191,7 +185,6 @@ def _reach(
 
 
 def _factor(prior: Gaussian, box: dict[str, tuple[float, float]], name: str) -> float:
-    """Largest ratio of a parameter to its prior mean within its bounds, either way."""
     if name not in box:
         return 1.0
     mean = prior.mean[prior.names.index(name)]
@@ -242,9 +235,9 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
     turn = np.kron(left, right.T)
-    covariance = (
-        None if measured.covariance is None else without_rounding(turn @ measured.covariance @ turn.conj().T)
-    )
+    covariance = measured.covariance
+    if covariance is not None:
+        covariance = without_rounding(turn @ covariance @ turn.conj().T)
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
     errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
     errors += _of_directions(response, wear.response, measured.matrix)
@@ -252,39 +245,30 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
-    """Changes in the fit's frame by the direction of sensors and forces of uncertain angle."""
     errors = []
-    for of_forces, ports in ((False, response.outputs), (True, response.inputs)):
+    for side in ("outputs", "inputs"):
+        ports = getattr(response, side)
         for number, port in enumerate(ports):
             for calibration in port.uncertainties:
                 if calibration.effect == "direction" and port.angle is not None:
-                    ahead, behind = (
-                        _turn(_with_angle(response, of_forces, number, step), frame)
-                        for step in (SMALL_ANGLE, -SMALL_ANGLE)
-                    )
-                    slope = (ahead[0] @ matrix @ ahead[1] - behind[0] @ matrix @ behind[1]) / (
-                        2 * SMALL_ANGLE
-                    )
-                    errors.append(
-                        MatrixError(calibration.uncertainty, calibration.uncertainty.std_error * slope)
-                    )
+                    ends = []
+                    for step in (SMALL_ANGLE, -SMALL_ANGLE):
+                        turned = replace(port, angle=port.angle + step)
+                        moved: Any = (*ports[:number], turned, *ports[number + 1 :])
+                        left, right = _turn(replace(response, **{side: moved}), frame)
+                        ends.append(left @ matrix @ right)
+                    slope = (ends[0] - ends[1]) / (2 * SMALL_ANGLE)
+                    known = calibration.uncertainty
+                    errors.append(MatrixError(known, known.std_error * slope))
     return errors
-
-
-def _with_angle(response: FrequencyResponse, of_forces: bool, number: int, step: float) -> FrequencyResponse:
-    ports = response.inputs if of_forces else response.outputs
-    port = ports[number]
-    turned = (*ports[:number], replace(port, angle=(port.angle or 0.0) + step), *ports[number + 1 :])
-    return replace(response, inputs=turned) if of_forces else replace(response, outputs=turned)
 
 
 def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, ComplexArray]:
     """L and R of L H R, from the response's own frame to the fit's."""
     if len(response.outputs) != 2 or len(response.inputs) != 2:
         ports = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
-        raise ConfigError(
-            f"worn-bearing takes two responses and two forces, found {ports}", hint="excite in y, then in z"
-        )
+        what = f"worn-bearing takes two responses and two forces, found {ports}"
+        raise ConfigError(what, hint="excite in y, then in z")
     left = np.linalg.inv(_sensing(response.outputs))
     right = np.linalg.inv(
         FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
@@ -313,9 +297,8 @@ def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
     try:
         return directions(ports, role).astype(np.complex128)
     except DataError as error:
-        raise ConfigError(
-            error.what, hint="give dof: y (horizontal) and dof: z (up), or angles from horizontal"
-        ) from None
+        hint = "give dof: y (horizontal) and dof: z (up), or angles from horizontal"
+        raise ConfigError(error.what, hint=hint) from None
 
 
 def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: WearSettings) -> BoolArray:
@@ -333,9 +316,7 @@ def _lines(response: FrequencyResponse, band: tuple[float, float] | None, wear: 
         return chosen
     if wear.half_power:
         size = np.sqrt(np.sum(np.abs(response.matrix) ** 2, axis=(1, 2)))
-        peaks = [
-            half_power(response.frequency, size.astype(np.complex128), around) for around in wear.half_power
-        ]
+        peaks = [half_power(response.frequency, size + 0j, around) for around in wear.half_power]
         inside &= np.any([lines_in(response.frequency, (peak.low, peak.high)) for peak in peaks], axis=0)
     if not np.any(inside):
         raise FitError("no frequency line is left", hint="widen the band")
@@ -416,20 +397,16 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     chosen = measured.chosen
     weighted = has_noise(chosen)
     weights = whitener(chosen) if weighted else equal_weights(chosen)
-    uncertainty = (
-        weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1))
-        if weighted
-        else None
-    )
+    size, excess = 1.0, 1.0
+    if weighted:
+        dof = max(chosen.n_equation - len(model.names), 1)
+        uncertainty = weight_uncertainty(measured.measured, dof)
+        size = float(np.sqrt(uncertainty.inflation))
+        excess = uncertainty.excess / uncertainty.inflation
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         return whitened(weights, response - chosen.matrix), whitened(weights, slopes).T
 
-    size, excess = (
-        (1.0, 1.0)
-        if uncertainty is None
-        else (float(np.sqrt(uncertainty.inflation)), uncertainty.excess / uncertainty.inflation)
-    )
     return Misfit(model, measured, compared=compared, weighted=weighted, size=size, excess=excess)
 
 
@@ -438,6 +415,9 @@ def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     (wear-log).
     """
     matrix = measured.chosen.matrix
+    if silent := measured.frequency[np.any(matrix == 0, axis=(1, 2))].tolist():
+        what = f"a term at {silent[0]:g} Hz is zero, which has no logarithm"
+        raise FitError(what, hint="choose other `lines` or `terms`, or `objective: complex`")
 
     def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         residual = np.log10(np.abs(response) / np.abs(matrix)).reshape(-1)

@@ -119,26 +119,22 @@ def _rank(candidates: Sequence[Minimum]) -> list[Minimum]:
 def _continue(misfit: Misfit, minimum: Minimum) -> Minimum:
     if not minimum.converged:
         return minimum
-    end = descend(misfit, minimum.parameters)
-    return replace(end, starts=minimum.starts, evaluations=minimum.evaluations + end.evaluations)
+    return _joined(descend(misfit, minimum.parameters), minimum, minimum.starts)
 
 
 def merge(candidates: Sequence[Minimum]) -> list[Minimum]:
     distinct: list[Minimum] = []
     for candidate in candidates:
-        near = next(
-            (n for n, other in enumerate(distinct) if _is_same(candidate.parameters, other.parameters)), None
-        )
-        if near is None:
+        alike = (n for n, other in enumerate(distinct) if _is_same(candidate.parameters, other.parameters))
+        if (near := next(alike, None)) is None:
             distinct.append(candidate)
         else:
-            first = distinct[near]
-            distinct[near] = replace(
-                first,
-                starts=first.starts + candidate.starts,
-                evaluations=first.evaluations + candidate.evaluations,
-            )
+            distinct[near] = _joined(distinct[near], candidate, distinct[near].starts + candidate.starts)
     return distinct
+
+
+def _joined(minimum: Minimum, other: Minimum, starts: int) -> Minimum:
+    return replace(minimum, starts=starts, evaluations=minimum.evaluations + other.evaluations)
 
 
 def _is_same(first: FloatArray, second: FloatArray) -> bool:
@@ -161,10 +157,7 @@ def refine(
         with_slopes = slopes < SLOPE_ROUNDS and (moved > FAR if slopes else moved < NEAR or number >= LATEST)
         slopes += with_slopes
         misfit = replace(misfit, model=misfit.model.refined(before, with_slopes), _last=None)
-        correction = descend(misfit, before, free)
-        minimum = replace(
-            correction, starts=minimum.starts, evaluations=minimum.evaluations + correction.evaluations
-        )
+        minimum = _joined(descend(misfit, before, free), minimum, minimum.starts)
         if minimum.chi2 > hopeless:
             break
         moved = float(np.linalg.norm(misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)))
@@ -300,20 +293,22 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
 
 
 def _peak_share(misfit: Misfit, best: Minimum) -> float:
-    """Mean of exp(-(chi2 - chi2_min) / 2) for one narrow peak: 2 pi sqrt(det cov) over the area."""
+    """Of one narrow peak: 2 pi sqrt(det cov) over the area."""
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
-    return min(float(2 * np.pi * np.sqrt(max(np.linalg.det(_spread(misfit, best)), 1e-12))) / area, 1.0)
+    spread = np.linalg.det(covariance_of(misfit, best)[:2, :2])
+    return min(float(2 * np.pi * np.sqrt(max(spread, 1e-12))) / area, 1.0)
 
 
-def _spread(misfit: Misfit, best: Minimum) -> FloatArray:
+def covariance_of(misfit: Misfit, best: Minimum) -> FloatArray:
+    """Covariance (n, n) [1] of the scaled parameters at a minimum by the noise, (J^T J)^-1."""
     jacobian = misfit.jacobian(best.parameters)
-    return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))[:2, :2]
+    return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
 
 
 def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
     """Mean of exp(-(chi2 - chi2_min) / 2), dense at small depths and around the best wear."""
     low, high = misfit.model.low[:2], misfit.model.high[:2]
-    widths = np.minimum(np.sqrt(np.diag(_spread(misfit, best))), (high - low) / 8)
+    widths = np.minimum(np.sqrt(np.diag(covariance_of(misfit, best))[:2]), (high - low) / 8)
     places = [best.parameters[number] + widths[number] * AROUND for number in (0, 1)]
     depths = _mesh(high[0] * np.linspace(0, 1, N_DEPTH) ** 3, places[0], low[0], high[0])
     angles = _mesh(np.linspace(low[1], high[1], N_ANGLE), places[1], low[1], high[1])
@@ -352,10 +347,8 @@ def widen(interval: Interval, best: float, distance: float, low: float, high: fl
     """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within
     *low* and *high*; all scaled.
     """
-    first, last = (
-        best - np.hypot(best - interval.low, distance),
-        best + np.hypot(interval.high - best, distance),
-    )
+    first = best - np.hypot(best - interval.low, distance)
+    last = best + np.hypot(interval.high - best, distance)
     return Interval(
         float(interval.low if interval.open_low else max(first, low)),
         float(interval.high if interval.open_high else min(last, high)),

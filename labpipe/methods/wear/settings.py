@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import FitSettings, ModelKind
+from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
@@ -33,6 +34,11 @@ class Gaussian:
     names: tuple[str, ...]
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, names: Iterable[str], mean: Iterable[float], covariance: FloatArray) -> Gaussian:
+        """The distribution of these, *covariance* (n, n) [SI units]."""
+        return cls(tuple(names), tuple(mean), tuple(tuple(row) for row in covariance.tolist()))
 
     @property
     def std(self) -> FloatArray:
@@ -102,73 +108,72 @@ class WearSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.lines and self.half_power:
-            raise ConfigError("'lines' and 'half_power' both choose lines", hint="leave one of them out")
-        if not (self.depth_limit > 0 and 0 < self.angle_limit < np.pi / 2):
-            raise ConfigError("'depth_limit' must be positive and 'angle_limit' between 0 and 90 deg")
+            raise SettingError("lines", "'lines' and 'half_power' both choose lines", "leave one of them out")
+        self.require_positive("depth_limit")
+        if not 0 < self.angle_limit < np.pi / 2:
+            raise SettingError("angle_limit", "'angle_limit' must lie between 0 and 90 deg")
         if not self.start_depths or not self.start_angles:
             raise ConfigError("'start_depths' and 'start_angles' need one value or more")
         if not all(0 <= depth <= self.depth_limit for depth in self.start_depths):
-            raise ConfigError("'start_depths' leave the range of depths", hint="from 0 to depth_limit")
+            what = "'start_depths' leave the range of depths"
+            raise SettingError("start_depths", what, "from 0 to depth_limit")
         if not all(abs(angle) <= self.angle_limit for angle in self.start_angles):
-            raise ConfigError(
-                "'start_angles' leave the range of angles", hint="from -angle_limit to angle_limit"
-            )
+            what = "'start_angles' leave the range of angles"
+            raise SettingError("start_angles", what, "from -angle_limit to angle_limit")
         if self.same_wear and (not self.prior or self.healthy):
-            raise ConfigError(
-                "'same_wear' goes with the 'prior' of a worn bearing",
-                hint="prior: FIT, the fit of another speed or load",
-            )
+            what = "'same_wear' goes with the 'prior' of a worn bearing"
+            raise SettingError("same_wear", what, "prior: FIT, the fit of another speed or load")
         if self.prior and self.nuisances:
-            raise ConfigError(
-                f"'prior' already covers {', '.join(self.nuisances)}", hint="leave one of them out"
-            )
+            what = f"'prior' already covers {', '.join(self.nuisances)}"
+            raise SettingError("prior", what, "leave one of them out")
         if self.healthy and not self.nuisances:
-            raise ConfigError(
-                "nothing to tune", hint=f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
-            )
+            hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
+            raise SettingError("healthy", "nothing to tune", hint)
         self._check_nuisances()
+        assert self.mesh
         if self.rig is not None and not self.healthy:
             worn_place(self.rig, self.bearing)
 
     def _check_nuisances(self) -> None:
-        for name in NUISANCES:
-            nuisance: Uncertain | None = getattr(self, name)
-            if nuisance is None:
-                continue
+        for name, nuisance in self._given.items():
             if name == "cavitation_pressure":
                 if nuisance.value > 0:
-                    raise ConfigError(
-                        "'cavitation_pressure' is above the ambient pressure", hint="give zero or less"
-                    )
+                    raise SettingError(name, f"'{name}' is above the ambient pressure", "give zero or less")
             elif not nuisance.value > 0:
-                raise ConfigError(f"'{name}' must be positive")
+                raise SettingError(name, f"'{name}' must be positive")
             elif nuisance.std_error > 0.25 * nuisance.value:
-                raise ConfigError(f"standard error of '{name}' above 25 %", hint="give a smaller uncertainty")
+                what = f"standard error of '{name}' above 25 %"
+                raise SettingError(name, what, "give a smaller uncertainty")
+
+    @property
+    def mesh(self) -> FilmMesh:
+        """The cells of the tables' films; ConfigError where they cannot be solved."""
+        return FilmMesh(self.cells_around, self.cells_across)
 
     @property
     def nuisances(self) -> tuple[str, ...]:
         """Nuisance parameters with a standard error, estimated together with the wear."""
-        return tuple(
-            name
-            for name in NUISANCES
-            if getattr(self, name) is not None and getattr(self, name).std_error > 0
-        )
+        return tuple(name for name, nuisance in self._given.items() if nuisance.std_error > 0)
+
+    @property
+    def _given(self) -> dict[str, Uncertain]:
+        given = {name: getattr(self, name) for name in NUISANCES}
+        return {name: nuisance for name, nuisance in given.items() if nuisance is not None}
 
     @property
     def nuisance_prior(self) -> Gaussian:
         """Prior of the nuisance parameters: the posterior of a tuning, or the settings' values."""
         if self.posterior is not None:
             return self.posterior
-        nuisances: list[Uncertain] = [getattr(self, name) for name in self.nuisances]
+        nuisances = [self._given[name] for name in self.nuisances]
         covariance = np.diag([nuisance.std_error**2 for nuisance in nuisances])
-        rows = tuple(tuple(row) for row in covariance.tolist())
-        return Gaussian(self.nuisances, tuple(nuisance.value for nuisance in nuisances), rows)
+        return Gaussian.of(self.nuisances, [nuisance.value for nuisance in nuisances], covariance)
 
     @property
     def fixed_values(self) -> dict[str, float]:
         """Nuisance parameters fixed at a value, by name."""
-        fixed = {name: getattr(self, name) for name in NUISANCES if name not in self.nuisances}
-        return {name: nuisance.value for name, nuisance in fixed.items() if nuisance is not None}
+        given = self._given.items()
+        return {name: nuisance.value for name, nuisance in given if name not in self.nuisances}
 
 
 # Standard error of a parameter at its bound, relative to its value.
@@ -188,11 +193,13 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
         raise ConfigError(what, hint="give that fit one `test` and one `band`")
     if named:
         whole = posterior(named[0], wear.same_wear)
+        if twice := [name for name in wear.fixed_values if name in whole.names]:
+            what = f"wear.{twice[0]}: '{wear.prior}' has tuned it, and a value is given as well"
+            raise ConfigError(what, hint="leave it out")
         return replace(settings, model_settings=replace(wear, posterior=whole))
     hint = nearest(wear.prior, [fit.name for fit in fits])
-    raise ConfigError(
-        f"wear.prior: no earlier fit '{wear.prior}'", hint=f"fits are made in their order; {hint}"
-    )
+    what = f"wear.prior: no earlier fit '{wear.prior}'"
+    raise ConfigError(what, hint=f"fits are made in their order; {hint}")
 
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
@@ -217,10 +224,7 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
         for parameter in chosen
     ]
     covariance = fit.correlation[np.ix_(numbers, numbers)] * np.outer(errors, errors)
-    rows = tuple(tuple(row) for row in covariance.tolist())
-    return Gaussian(
-        tuple(parameter.name for parameter in chosen), tuple(parameter.value for parameter in chosen), rows
-    )
+    return Gaussian.of((one.name for one in chosen), (one.value for one in chosen), covariance)
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

@@ -36,13 +36,10 @@ class VaryingSupport:
     damping_slopes: FloatArray
 
     def __post_init__(self) -> None:
-        if self.stiffness_slopes.shape != self.damping_slopes.shape or self.stiffness_slopes.shape[1:] != (
-            2,
-            2,
-        ):
-            raise ConfigError(
-                f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter"
-            )
+        shape = self.stiffness_slopes.shape
+        if shape != self.damping_slopes.shape or shape[1:] != (2, 2):
+            what = f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter"
+            raise ConfigError(what)
 
 
 def response_with_slopes(
@@ -56,27 +53,15 @@ def response_with_slopes(
     response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
     # Of every bearing and element of its coefficients H_ob H_bf: all parameters together are one product of
     # matrices.
-    places = [
-        (2 * number + row, 2 * number + column)
-        for number in range(len(bearings))
-        for row, column in np.ndindex(2, 2)
-    ]
+    elements = np.ndindex(len(bearings), 2, 2)
+    places = [(2 * number + row, 2 * number + column) for number, row, column in elements]
     products = np.empty((2, len(places), rotor.omega.size, 2, 2), np.complex128)
     for product, (row, column) in zip(products[0], places, strict=True):
         np.multiply(to_output[:, :, row, None], from_force[:, column, None, :], out=product)
     np.multiply(products[0], 1j * rotor.omega[:, None, None], out=products[1])
-    slopes = np.concatenate(
-        [
-            _flat(bearing.stiffness_slopes for bearing in bearings),
-            _flat(bearing.damping_slopes for bearing in bearings),
-        ],
-        axis=1,
-    )
+    each = [*(of.stiffness_slopes for of in bearings), *(of.damping_slopes for of in bearings)]
+    slopes = np.concatenate([of_one.reshape(-1, 4) for of_one in each], axis=1)
     return response, -(slopes @ products.reshape(slopes.shape[1], -1)).reshape(-1, *response.shape)
-
-
-def _flat(slopes: Iterable[FloatArray]) -> FloatArray:
-    return np.concatenate([of_one.reshape(-1, 4) for of_one in slopes], axis=1)
 
 
 def forward_backward(matrix: ComplexArray) -> ComplexArray:
@@ -132,11 +117,7 @@ class Ranges:
         further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
         n_depth, n_angle = WEAR_NODES[further]
         ranges = TableRange(
-            depth=self.depth if worn else 0.0,
-            angle=self.angle,
-            viscosity_factor=self.viscosity_factor,
-            clearance_factor=self.clearance_factor,
-            cavitation_pressure=self.cavitation_pressure,
+            **{**vars(self), "depth": self.depth if worn else 0.0},
             n_depth=n_depth,
             n_angle=n_angle,
             n_sommerfeld=FURTHER_NODES,
@@ -148,10 +129,8 @@ class Ranges:
 
 def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
-    interpolated = table.coefficients(bearing, speed)
-    return np.stack([interpolated.stiffness, interpolated.damping]), np.stack(
-        [interpolated.stiffness_slopes, interpolated.damping_slopes]
-    )
+    of = table.coefficients(bearing, speed)
+    return np.stack([of.stiffness, of.damping]), np.stack([of.stiffness_slopes, of.damping_slopes])
 
 
 def _point(bearing: JournalBearing) -> FloatArray:
@@ -242,9 +221,8 @@ class TabledBearing:
             matrices = matrices + self.correction.at(_point(bearing))
             by_parameter += self.correction.slopes
         slopes = np.zeros((2, len(names), 2, 2))
-        for number, name in enumerate(names):
-            if name in PARAMETERS and (self.worn or name not in WEAR):
-                slopes[:, number] = by_parameter[:, PARAMETERS.index(name)]
+        for name in self._followed(names):
+            slopes[:, names.index(name)] = by_parameter[:, PARAMETERS.index(name)]
         return VaryingSupport(Support(self.place.node, *matrices), *slopes)
 
     def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
@@ -261,8 +239,7 @@ class TabledBearing:
         slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
         if with_slopes:
             slopes = np.zeros_like(by_parameter)
-            names = [name for name in PARAMETERS if name in values and (self.worn or name not in WEAR)]
-            for name, slope in film_slopes(film, names).items():
+            for name, slope in film_slopes(film, self._followed(values)).items():
                 number = PARAMETERS.index(name)
                 slopes[:, number] = slope - by_parameter[:, number]
         correction = Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes)
@@ -288,21 +265,17 @@ class TabledBearing:
         """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N
         s/m].
         """
-        if self.fixed is not None:
-            return replace(
-                self,
-                fixed=Support(
-                    self.place.node, self.fixed.stiffness + change[0], self.fixed.damping + change[1]
-                ),
-            )
+        if (fixed := self.fixed) is not None:
+            shifted = Support(self.place.node, fixed.stiffness + change[0], fixed.damping + change[1])
+            return replace(self, fixed=shifted)
         assert self.correction is not None
         return replace(self, correction=replace(self.correction, offset=self.correction.offset + change))
 
+    def _followed(self, names: Collection[str]) -> list[str]:
+        return [name for name in PARAMETERS if name in names and (self.worn or name not in WEAR)]
+
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
-        varied = {
-            name: values[name] for name in PARAMETERS if name in values and (self.worn or name not in WEAR)
-        }
-        return replace(self.place.film("wear"), **varied)
+        return replace(self.place.film("wear"), **{name: values[name] for name in self._followed(values)})
 
 
 def tabulate(
@@ -311,22 +284,16 @@ def tabulate(
     """A bearing of the rig with its table. ConfigError where a bearing with fixed wear would follow other
     parameters.
     """
-    if not place.is_film and not worn:
-        coefficients = place.bearing.at(OperatingPoint(load, speed, speed))
-        return TabledBearing(
-            place, load, speed, worn, None, Support(place.node, coefficients.stiffness, coefficients.damping)
+    if not worn and not (place.is_film and ranges.wide):
+        at = (
+            journal_equilibrium(place.film("wear"), load, speed, mesh)
+            if place.is_film
+            else place.bearing.at(OperatingPoint(load, speed, speed))
         )
+        return TabledBearing(place, load, speed, worn, None, Support(place.node, at.stiffness, at.damping))
     bearing = place.film("wear")
-    if not worn and not ranges.wide:
-        film = journal_equilibrium(bearing, load, speed, mesh)
-        return TabledBearing(
-            place, load, speed, worn, None, Support(place.node, film.stiffness, film.damping)
-        )
     if bearing.wear_depth > 0 and not worn:
-        raise ConfigError(
-            f"'{place.name}' has a fixed wear, which cannot be combined with estimated viscosity, clearance "
-            "or cavitation pressure",
-            hint="leave them out, or its wear",
-        )
+        what = "has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation"
+        raise ConfigError(f"'{place.name}' {what} pressure", hint="leave them out, or its wear")
     table = cached_table(bearing, load, speed, ranges.of_table(worn), mesh)
     return TabledBearing(place, load, speed, worn, table)

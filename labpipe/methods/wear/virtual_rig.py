@@ -25,6 +25,7 @@ from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_o
 
 KIND = "virtual-journal-rig"
 AXES = ("y", "z")
+FILM = ("viscosity", "clearance", "cavitation_pressure")
 HEALTHY = (("healthy", Wear()),)
 # Lines that are solved at once: the free rotor has four equations per node.
 LINES_AT_ONCE = 512
@@ -68,6 +69,7 @@ class VirtualJournalRig(Settings):
     def __post_init__(self) -> None:
         if self.rig is not None:
             worn_place(self.rig, self.bearing)
+        assert self.mesh
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
         self.require_positive("force", "bandwidth", "sample_rate", "duration")
@@ -160,9 +162,8 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
     rig = true_rig(virtual, 0.0, 0.0)
     bearing = rig.place(virtual.bearing).bearing
     states = {state: {"wear_depth": wear.depth, "wear_angle": wear.angle} for state, wear in virtual.states}
-    film_values = {name: getattr(bearing, name) for name in ("viscosity", "clearance", "cavitation_pressure")}
     return {
-        **film_values,
+        **{name: getattr(bearing, name) for name in FILM},
         "loads": {name: list(load) for name, load in rig.static_loads().items()},
         "states": states,
     }
@@ -171,12 +172,10 @@ def truth(virtual: VirtualJournalRig) -> dict[str, Any]:
 def _parameters(virtual: VirtualJournalRig, runs: Sequence[str]) -> Truth:
     states = dict.fromkeys(virtual.wear(run) for run in runs)
     if len(states) != 1:
-        raise ConfigError(
-            "'runs' of one state of wear give one FRF matrix", hint="for example runs: [healthy-y, healthy-z]"
-        )
-    (wear,) = states
-    true_values = truth(virtual)
-    film = {name: float(true_values[name]) for name in ("viscosity", "clearance", "cavitation_pressure")}
+        hint = "for example runs: [healthy-y, healthy-z]"
+        raise ConfigError("'runs' of one state of wear give one FRF matrix", hint=hint)
+    (wear,), true_values = states, truth(virtual)
+    film = {name: float(true_values[name]) for name in FILM}
     return {"wear_depth": wear.depth, "wear_angle": wear.angle, **film}
 
 

@@ -298,6 +298,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
             {"planes": {"left": {"angles": ["0 deg", "360 deg", "9 deg"], "radius": "1 m"}, "right": {}}},
             "an angle is named twice",
         ),
+        ({"runs": ["as found"]}, "runs.1: a mapping of keys to values is needed"),
         ({"planes": {}, "runs": [{"readings": {"A": "8 um at 0 deg"}}]}, "planes: a plane is needed"),
         ({"planes": ["left", "right", "left"]}, "planes: 'left' is named twice"),
         ({"repeatability": "-2 %"}, "repeatability: repeatability must not be negative"),
@@ -407,3 +408,37 @@ def test_a_model_is_of_displacements(labpipe, tmp_path, unit: str, refused: bool
     (tmp_path / "m.json").write_text("{}")
     ended = labpipe("balance", tmp_path / "b.yaml")
     assert ended.code == 2 and ("a model needs readings of displacement" in ended.err) is refused
+
+
+def test_a_radius_alone_gives_the_mass_at_its_angle(labpipe, tmp_path):
+    """The textbook's 10.0561 g mm at 325.55 deg is 10.0561 / 40 g at 40 mm; the other plane has no radius."""
+    given = ("--set", "planes={left: {radius: 40 mm}, right: }", "--set", "repeatability=0.0001 %")
+    ended = labpipe("balance", EXAMPLE, *given, "--json", tmp_path / "b.json")
+    file = json.loads((tmp_path / "b.json").read_text())
+    ((of_left,), of_right) = (plane["masses"] for plane in file["weights"])
+    assert of_left["mass"] == pytest.approx(1e-3 * 10.0561 / 40, rel=1e-5) and of_right == []
+    assert np.degrees(of_left["angle"]) == pytest.approx(325.5548, abs=1e-3)
+    assert "  0.251 g at 325.6 deg" in ended.out and file["title"] == "Fan, two planes"
+
+
+def test_faults_have_their_line_and_no_followers(labpipe, tmp_path):
+    """The key `noise` at its line; readings that cannot be read are not missing as well."""
+    (tmp_path / "b.yaml").write_text("noise: 1 mm/s\n" + EXAMPLE.read_text())
+    assert "b.yaml:1:1: noise: 'mm/s' has the wrong dimension" in labpipe("balance", tmp_path / "b.yaml").err
+    ended = labpipe("balance", EXAMPLE, "--set", "runs.1.readings={A: 6 um}")
+    assert ended.code == 2 and "is no vector" in ended.err and "are missing" not in ended.err
+
+
+def test_one_reading_says_nothing_of_the_unbalance_in_two_planes(labpipe, tmp_path):
+    """z = alpha_1 u_1 + alpha_2 u_2 has a solution for every u_2: no grade can be held against it."""
+    tree = yaml.safe_load(EXAMPLE.read_text())
+    for run in tree["runs"]:
+        del run["readings"]["B"]
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(tree))
+    assert labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "b.json").code == 0
+    assert json.loads((tmp_path / "b.json").read_text())["unbalance_left"] == []
+    graded = {**tree, "mass": "3 kg", "speed": "3000 rpm", "grade": "2.5 mm/s"}
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(graded))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 2 and "grade: 1 reading(s) do not tell the unbalance in 2 planes" in ended.err
+    assert "b.yaml:1:" in ended.err, ended.err

@@ -13,6 +13,7 @@ from labpipe.methods.journal_bearing.curve import (
     HIGHEST_SOMMERFELD,
     LOWEST_SOMMERFELD,
     TO_LOAD_FRAME,
+    curve_of,
     journal_curve,
     sommerfeld_number,
 )
@@ -137,3 +138,11 @@ def test_slopes_are_the_derivatives_by_the_logarithm() -> None:
 def test_outside_the_table_nothing_is_guessed(number: float) -> None:
     with pytest.raises(FitError, match="outside the bearing's table"):
         journal_curve(0.5, GROOVE, MESH, 60).coefficients(np.array([1.0, number]))
+
+
+def test_a_worn_bearing_has_no_curve() -> None:
+    """K c / W of a worn film depends on its wear, of a film that tears at p_cav on p_cav L D / W as well."""
+    plain = JournalBearing(diameter=0.03, length=0.015, clearance=9e-5, viscosity=0.1)
+    for change in ({"wear_depth": 1e-6}, {"cavitation_pressure": -1e4}):
+        with pytest.raises(ConfigError, match="has no curve over its Sommerfeld number"):
+            curve_of(dataclasses.replace(plain, **change))

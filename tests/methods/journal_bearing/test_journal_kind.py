@@ -90,6 +90,7 @@ def test_a_turned_load_turns_the_coefficients(file: Path) -> None:
         ("accuracy=0 %", "accuracy"),
         ("cavitation_pressure=1 bar", "above the ambient"),
         ("viscosity=0.1 Pa", "viscosity"),
+        ("viscosity_slope=-3 %/K", "viscosity_slope must not be negative"),
         ("clearence=90 um", "did you mean 'clearance'"),
     ],
 )
@@ -103,6 +104,10 @@ def test_its_place_in_the_file_is_named(file: Path, tmp_path: Path) -> None:
     path = tmp_path / "b.yaml"
     path.write_text(file.read_text().replace("90 um", "90 kg"))
     with pytest.raises(ConfigError, match=r"b.yaml:6:\d+: clearance"):
+        open_bearing(path).settings()
+    line = file.read_text()[: file.read_text().index("clearance")].count("\n") + 1
+    path.write_text(file.read_text().replace("90 um", "-90 um"))
+    with pytest.raises(ConfigError, match=rf"b.yaml:{line}:\d+: clearance: the clearance of a journal"):
         open_bearing(path).settings()
 
 

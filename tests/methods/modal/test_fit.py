@@ -411,6 +411,32 @@ def test_a_mode_hardly_wider_than_a_line_is_said_where_the_window_is_not_known(
     assert bool(leaking) is warned
 
 
+def test_a_damping_coefficient_follows_its_ratio_where_a_window_may_have_made_it() -> None:
+    """c = 2 zeta w_n m with a given m: its interval goes down to the same share as that of zeta."""
+    exact = beam(6)
+    coarse = replace(exact, frequency=exact.frequency[::2], matrix=exact.matrix[::2])
+    fit = modal(coarse, band=(15.0, 30.0), mass=2.0)
+    shares = [fit.parameter(name).ci95[0] / fit.parameter(name).value for name in ("zeta_1", "c_1")]
+    assert shares[0] < 0.5 and shares[1] == pytest.approx(shares[0], abs=1e-3)
+
+
+@pytest.mark.parametrize(("bands", "spacing"), [((53, 58, 93, 99), 0.04), ((50, 60, 90, 102), 0.1)])
+def test_what_a_mask_leaves_out_between_two_modes_changes_neither(bands, spacing: float) -> None:
+    """Lines about both resonances alone: the high powers of z are alike on them, and the distance of the
+    lines is not the width over their number. The first mode is .38 Hz wide, by eigenvalues of the chain.
+    """
+    low, up, again, high = bands
+    frequency = np.concatenate([np.arange(low, up, spacing), np.arange(again, high, spacing)])
+    exact = chain_response(frequency)
+    noise = np.random.default_rng(0).normal(size=(2, *exact.matrix.shape))
+    fit = modal(replace(exact, matrix=exact.matrix + 1e-8 * (noise[0] + 1j * noise[1])))
+    f, zeta, _ = chain_truth()
+    for number in (1, 2):
+        assert within(fit, f"f_n_{number}", f[number - 1]) and within(fit, f"zeta_{number}", zeta[number - 1])
+        assert fit.parameter(f"zeta_{number}").ci95[0] > 0.99 * zeta[number - 1]
+    assert "leakage" not in [finding.code for finding in fit.findings]
+
+
 def finer(response: FrequencyResponse, spacing: float) -> FrequencyResponse:
     """The first mode of the beam on other lines, with the same noise."""
     frequency = np.arange(10.0, 40.0, spacing)

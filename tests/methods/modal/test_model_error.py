@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.likelihood import Refined
+from labpipe.methods.modal.model_error import shape_record
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
@@ -80,3 +85,25 @@ def test_no_mode_is_left_without_an_interval() -> None:
         return parameter.ci95 is not None and parameter.ci95[0] <= parameter.value <= parameter.ci95[1]
 
     assert all(stated(parameter) for parameter in fit.parameters)
+
+
+def test_a_value_without_an_interval_has_no_error_left() -> None:
+    """Neither that of noise nor a wider one: an unstable mode of an unexplained residual had the latter."""
+    wide = Parameter("zeta_1", -0.01, "1", std_error=1e-3, ci95=(-0.02, 0.0), std_error_inflated=2e-3)
+    (plain,) = without_intervals([wide])
+    assert plain == Parameter("zeta_1", -0.01, "1") and plain.full_error is None
+
+
+def test_modes_of_a_loss_factor_are_listed_at_their_natural_frequency() -> None:
+    """k (1 + j eta) - m w^2 with eta = .3: f_n = sqrt(k / m) / 2 pi, where |pole| is (1 + eta^2)^(1/4) of it,
+    and zeta of the same peak is eta / 2.
+    """
+    f_n, eta = 100.0, 0.3
+    pole = 2j * np.pi * f_n * np.sqrt(1 + 1j * eta)
+    one, none = np.ones((1, 1), complex), np.zeros((1, 2, 2))
+    refined = Refined(
+        np.array([pole]), one, one, none[0], none, none, np.ones((1, 1)), 0.0, True, 1, hysteretic=True
+    )
+    terms, port = SimpleNamespace(lower=1, upper=1), [Port("x", "x", "1")]
+    modes = shape_record(refined, terms, port, port, False, None)
+    assert modes.frequency == pytest.approx([f_n]) and modes.damping_ratio == pytest.approx([eta / 2])

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.moved import mean_of_points
@@ -83,6 +84,18 @@ def test_without_a_stated_mass_the_points_scatter_about_their_mean() -> None:
     low, high = fit.parameter("f_n_1").ci95
     assert low < np.mean(own) < high and high - low > np.ptp(own) / 2
     assert "what moves loads the structure" in fit.parameter("f_n_1").reason
+
+
+def test_a_moving_mass_that_nothing_can_be_told_of_is_refused() -> None:
+    """Three points have no course over phi^2 beside its errors; eta would stay that with the mass."""
+    response = roving(1, 0.3, lines=FREQUENCY[::2])
+    sides = {"outputs": response.outputs[:1], "inputs": response.inputs[:3]}
+    few = replace(response, matrix=response.matrix[:, :1, :3], covariance=None, **sides)
+    with pytest.raises(ConfigError, match=r"of 3 point\(s\) 'moving_mass' cannot tell"):
+        fitted(few, moving_mass=0.008)
+    hysteretic = FitSettings("modal", damping="hysteretic", model_settings=ModalSettings(moving_mass=0.008))
+    with pytest.raises(ConfigError, match="'moving_mass' cannot be combined with hysteretic damping"):
+        identify(response, hysteretic)
 
 
 def test_points_that_disagree_in_frequency_have_an_interval_of_both() -> None:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import fit_entry, read_fit
@@ -18,7 +19,8 @@ from labpipe.artefacts.measured_files import read_decays, write_decays
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.ring_down.fit import DecaySettings
+from labpipe.methods.ring_down.fit import DecaySettings, _check_fitted
+from labpipe.methods.ring_down.likelihood import energies, maximum_likelihood, noise_chance, pieces_of
 from labpipe.methods.ring_down.report import over_amplitude_figure
 from labpipe.records.fit_details import RingDown
 from labpipe.records.identification import Fit, Identification
@@ -314,3 +316,28 @@ def test_no_decay_is_no_record() -> None:
             ("m", "m"),
             (FreeDecay("r", 0.0, np.ones((3, 1))),),
         )
+
+
+def test_a_heavily_damped_decrement_is_less_certain_than_its_damping_ratio() -> None:
+    """delta = 2 pi zeta / sqrt(1 - zeta^2), so that d ln delta = d ln zeta / (1 - zeta^2)."""
+    ratios, time = (0.30, 0.31, 0.29), times(0.4)
+    noise = 1e-4 * np.random.default_rng(4).standard_normal((len(ratios), time.size))
+    pairs = zip(ratios, noise, strict=True)
+    fit = fitted(record([motion(((40.0, zeta, 1.0, 0.3),), time) + part for zeta, part in pairs]))
+    decrement, zeta = fit.parameter("log_decrement_1"), fit.parameter("zeta_1")
+    widths = [np.log(parameter.ci95[1] / parameter.ci95[0]) for parameter in (decrement, zeta)]
+    assert widths[0] / widths[1] == pytest.approx(1 / (1 - zeta.value**2), rel=1e-6)
+    assert decrement.value == pytest.approx(2 * np.pi * zeta.value / np.sqrt(1 - zeta.value**2), rel=1e-9)
+
+
+def test_what_noise_gives_several_decays_together_is_no_mode() -> None:
+    """The amplitude of every decay is free: six of them have a chi-square of 12 degrees of freedom. Held
+    against one of 2, six of eight such sets of noise had a mode.
+    """
+    noise = np.random.default_rng(4).standard_normal((6, 200))
+    pieces = pieces_of(record(list(noise)).decays, [0], 1024.0, (100.0, 300.0))
+    found = maximum_likelihood(pieces, np.array([-10.0 + 2j * np.pi * 105.0]))
+    (energy,), rows = energies(pieces, found), sum(piece.rows.size for piece in pieces)
+    assert noise_chance(pieces, found) == pytest.approx([rows * stats.chi2.sf(energy, 12)], rel=1e-9)
+    with pytest.raises(FitError, match="what would be a mode at"):
+        _check_fitted(pieces, found)

@@ -134,6 +134,8 @@ def test_faults_are_named(rig) -> None:
         replace(rig, angular=replace(rig.angular, name="6208"))
     with pytest.raises(ConfigError, match="stiffness_ratio must be positive"):
         replace(rig, stiffness_ratio=0.0)
+    with pytest.raises(ConfigError, match="'hysteresis' takes all stiffness away"):
+        replace(rig, hysteresis=-1.0)
     with pytest.raises(ConfigError, match="not a whole number"):
         simulate_ball_bearing(replace(rig, sampling=Sampling(rate=3201.0)), 1, ["6208-427N-up-x"])
 

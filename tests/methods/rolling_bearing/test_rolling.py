@@ -11,7 +11,8 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.rolling_bearing.equilibrium import equilibrium
-from labpipe.methods.rolling_bearing.loads import RollingBearing, bearing_loads, bearing_stiffness
+from labpipe.methods.rolling_bearing.loads import RollingBearing
+from tests.methods.rolling_bearing.displaced_rings import bearing_loads, bearing_stiffness
 
 KINDS = ("deep_groove", "angular", "taper")
 

@@ -9,8 +9,9 @@ import pytest
 from scipy import optimize
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rolling_bearing.equilibrium import Problem, equilibrium, load_vector, solve
-from labpipe.methods.rolling_bearing.loads import DOFS, ElementFrame, RollingBearing, bearing_loads
+from labpipe.methods.rolling_bearing.equilibrium import Problem, equilibrium, solve
+from labpipe.methods.rolling_bearing.loads import DOFS, ElementFrame, RollingBearing
+from tests.methods.rolling_bearing.displaced_rings import bearing_loads, load_vector
 
 HELD_TILT = ("bx", "by")
 
@@ -196,8 +197,3 @@ def test_cylindrical_rollers_need_z_held(
 def test_too_large_a_load_is_beyond_the_model(deep_groove: RollingBearing) -> None:
     with pytest.raises(FitError, match=r"is pressed in by .* um; the model holds up to 595.3 um"):
         equilibrium(deep_groove, load_vector(x=5e6))
-
-
-def test_unknown_load_names_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no load 'bx'; known: x, y, z, mx, my"):
-        load_vector(bx=1.0)

@@ -12,7 +12,7 @@ import pytest
 from labpipe.bearings.kinds import BearingCoefficients, OperatingPoint
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rolling_bearing.bearing import BALL, ROLLER, rolling_coefficients, rolling_response
-from labpipe.methods.rolling_bearing.equilibrium import equilibrium, load_vector
+from labpipe.methods.rolling_bearing.equilibrium import equilibrium
 from labpipe.methods.rolling_bearing.loads import sdof_stiffness
 from labpipe.methods.rolling_bearing.settings import (
     BallBearingSettings,
@@ -22,6 +22,7 @@ from labpipe.methods.rolling_bearing.settings import (
     RollerBearingSettings,
     ShaftSettings,
 )
+from tests.methods.rolling_bearing.displaced_rings import load_vector
 
 GIVEN = BallBearingSettings(
     kind="ball-bearing",

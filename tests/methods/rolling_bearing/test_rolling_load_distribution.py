@@ -16,8 +16,9 @@ import math
 import numpy as np
 import pytest
 
-from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium, load_vector
+from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import RollingBearing
+from tests.methods.rolling_bearing.displaced_rings import load_vector
 
 PARALLEL = ("bx", "by")
 ANGLE = math.radians(25)

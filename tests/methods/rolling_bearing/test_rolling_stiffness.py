@@ -15,7 +15,8 @@ import math
 import numpy as np
 import pytest
 
-from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium, load_vector
+from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
+from tests.methods.rolling_bearing.displaced_rings import load_vector
 from tests.validation.rolling import BEARINGS, ENTRIES, PRINTED
 
 MATRICES = [(name, force, printed) for (name, force), printed in PRINTED.items()]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.wear.fit import healthy_findings, rival_findings
@@ -238,6 +238,15 @@ def test_priors_that_are_not_there(joint: Fit) -> None:
     assert with_prior(fit_settings(), []) == fit_settings()
 
 
+def test_a_value_beside_the_prior_that_tuned_it_is_refused(joint: Fit) -> None:
+    """The posterior outranked it; what the tuning left alone may be given."""
+    tuned = [replace(joint, name="tuning")]
+    with pytest.raises(ConfigError, match="viscosity: 'tuning' has tuned it"):
+        with_prior(fit_settings(prior="tuning", viscosity=Uncertain(0.1)), tuned)
+    beside = with_prior(fit_settings(prior="tuning", beta=Uncertain(1e-4)), tuned).model_settings
+    assert beside.fixed_values == {"beta": 1e-4} and "viscosity" in beside.nuisance_prior.names
+
+
 def test_a_tuned_parameter_at_its_bound_keeps_some_uncertainty(joint: Fit) -> None:
     parameters = tuple(replace(p, std_error=None) if p.name == "viscosity" else p for p in joint.parameters)
     known = posterior(replace(joint, parameters=parameters))
@@ -246,6 +255,16 @@ def test_a_tuned_parameter_at_its_bound_keeps_some_uncertainty(joint: Fit) -> No
         replace(p, std_error_inflated=9e-7) if p.name == "clearance" else p for p in joint.parameters
     )
     assert posterior(replace(joint, parameters=inflated)).std[1] == pytest.approx(9e-7)
+
+
+def test_a_test_at_another_speed_than_its_rotor_is_refused() -> None:
+    """The rotor file turns at 50 Hz; films at 40 Hz have other coefficients. Nothing peaks at 1 Hz."""
+    response = measured(worn_rig(22.27, 11.0), lines=LINES[:1])
+    nowhere = fit_settings(half_power=((1.0, 2.0),))
+    for stated, refused in (("2400 rpm", True), ("40 Hz", True), ("49.8 Hz", False), ("full", False)):
+        with pytest.raises(LabpipeError) as caught:
+            fitted(nowhere, response.renamed("t", {"speed": stated}))
+        assert ("the test ran at 40 Hz" in str(caught.value)) is refused
 
 
 def test_too_few_equations_are_refused() -> None:

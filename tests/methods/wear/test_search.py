@@ -5,10 +5,13 @@ Without noise on exact films.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
+from labpipe.errors import FitError
 from labpipe.methods.wear.model import Misfit, WornModel
 from labpipe.methods.wear.search import (
     Minimum,
@@ -25,7 +28,7 @@ from labpipe.methods.wear.search import (
     start_mesh,
 )
 from labpipe.methods.wear.settings import Gaussian, WearSettings
-from tests.methods.wear.worn_cases import NUISANCES, measured, misfit_of, wear_settings, worn_rig
+from tests.methods.wear.worn_cases import LINES, NUISANCES, measured, misfit_of, wear_settings, worn_rig
 
 TRUTH = np.array([22.27, 11.0])
 
@@ -67,6 +70,14 @@ def test_log_misfit_is_the_source_s() -> None:
     here = np.array([30.0, -4.0])
     ratio = np.abs(misfit.model.response(here)[0] / response.matrix)[:, [0, 1], [1, 0]]
     assert misfit.chi2(here) == pytest.approx(np.sum(np.log10(ratio) ** 2))
+
+
+def test_a_term_of_zero_has_no_logarithm() -> None:
+    response = measured(worn_rig(*TRUTH))
+    silent = response.matrix.copy()
+    silent[3, 0, 1] = 0
+    with pytest.raises(FitError, match=f"a term at {LINES[3]:g} Hz is zero"):
+        misfit_of(replace(response, matrix=silent), objective="log", terms="cross")
 
 
 def test_correlated_priors_weigh_by_their_covariance() -> None:

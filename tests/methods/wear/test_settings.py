@@ -110,6 +110,8 @@ def test_section_as_people_write_it(pipeline: Path) -> None:
         ("rotors/mendes.yaml", "rotors/mends.yaml", "p.yaml:6:7: identify.wear.wear.rotor: no such file"),
         ("terms: cross", "terms: crss", "did you mean 'cross'"),
         ("depth_limit: 40 um", "depth_limit: 40 deg", "depth_limit"),
+        ("depth_limit: 40 um", "cells_around: 121", "wear.cells_around: an oil film of 121 x 30 cells"),
+        ("depth_limit: 40 um", "depth_limit: 0 um", "wear.depth_limit: depth_limit must be positive"),
     ],
 )
 def test_faults_of_the_section_stand_at_their_place(pipeline: Path, old: str, new: str, message: str) -> None:
