@@ -25,6 +25,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
+from labpipe.spectra.channels import in_time
 from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
 from labpipe.spectra.periodic import period_average
@@ -177,6 +178,8 @@ def channel_spectra(
     if settings.excitation not in EXCITATIONS:
         what = f"excitation {settings.excitation} gives no spectra side by side"
         raise SettingError("excitation", what, "known: periodic, random")
+    if settings.excitation == "random":
+        sources = in_time(sources)
     sources, short = without_short(sources, settings)
     layout = find_channel_layout(sources)
     bands = masked_bands(sources, settings)

@@ -195,14 +195,7 @@ def _first_samples(source: SampleSource) -> FloatArray:
         pieces.append(block)
         if sum(piece.shape[0] for piece in pieces) >= MOST_SAMPLES:
             break
-    samples = np.concatenate(pieces)[:MOST_SAMPLES]
-    late = np.round(source.sample_rate * np.array([channel.delay for channel in source.channels])).astype(int)
-    late = late - np.min(late)
-    if not np.any(late):
-        return samples
-    # Channels whose delay is stated are moved forward by it.
-    n = samples.shape[0] - int(np.max(late))
-    return np.column_stack([column[lag : lag + n] for column, lag in zip(samples.T, late, strict=True)])
+    return np.concatenate(pieces)[:MOST_SAMPLES]
 
 
 def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:

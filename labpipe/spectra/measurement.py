@@ -14,7 +14,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, StoredCovariance
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
-from labpipe.spectra.channels import READ_SAMPLES, columns_of, uncertainty_findings
+from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import hit_counts, impact_parts, of_recordings
@@ -40,8 +40,9 @@ from labpipe.spectra.synchronous import without_shaft
 # Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5
 
-# Excitations whose records show by themselves whether the loop is closed; periods do by what does not repeat.
-RECORDS = ("random", "impact")
+# Excitations whose forces and responses are compared block by block, and whose records show by themselves
+# whether the loop is closed; periods do by what does not repeat.
+BLOCKS = ("random", "impact")
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
     "periodic": periodic_parts,
@@ -71,6 +72,10 @@ def measure(
         raise ConfigError(
             f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"
         )
+    if settings.excitation in BLOCKS:
+        for source in sources:
+            check_in_time(source, [channel for channel in source.channels if channel.role != "reference"])
+        sources = in_time(sources)
     sources, short = without_short(sources, settings)
     if settings.realisations:
         responses = [_measure(members, settings, name, conditions) for members in realisations(sources)]
@@ -173,7 +178,7 @@ def _measure(
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
-    loop = feedback_of_records(sources, settings, layout) if settings.excitation in RECORDS else ()
+    loop = feedback_of_records(sources, settings, layout) if settings.excitation in BLOCKS else ()
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
     open_loop = EXCITATIONS[settings.excitation]

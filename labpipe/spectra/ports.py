@@ -158,13 +158,17 @@ def _ports_of(
     sources: Sequence[SampleSource], role: str
 ) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
     columns = [_columns_of(source, role) for source in sources]
+    keys = list(dict.fromkeys(key for members in columns for key in members))
+    places = [key[:3] for key in keys]
+    for name, *_ in (place for place in places if places.count(place) > 1):
+        what = f"'{name}' has not the same delay and response table in all recordings"
+        raise DataError(what, hint="one test for each chain of that channel")
     if role == "output":
         _check_complete(sources, columns)
-    keys = list(dict.fromkeys(key for members in columns for key in members))
     by_key = {key: s.channels[n] for s, of in zip(sources, columns, strict=True) for key, n in of.items()}
     sensors = tuple(by_key[key] for key in keys)
-    places = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
-    return _ports(sensors), places, sensors
+    numbers = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
+    return _ports(sensors), numbers, sensors
 
 
 def _columns_of(source: SampleSource, role: str) -> dict[Key, int]:

@@ -439,3 +439,16 @@ def test_every_hit_of_a_recording_is_a_repeat(rng: np.random.Generator) -> None:
     # Lines under an exponential window share their noise, which one hit does not show.
     windowed = replace(settings, impact=replace(settings.impact, decay=BLOCK / np.log(100)))
     assert measure([recording], windowed).repeats is None
+
+
+def test_a_response_recorded_late_fills_the_same_window(rng: np.random.Generator) -> None:
+    """By a tenth of a block, stated: under `decay` H was off by the factor exp(.1 s / 200 ms)."""
+    recording = hammered(rng, half_sine(4 * N, [100, 100 + 2 * N], [100.0, 80.0]), noise=1e-6)
+    lag = N // 10
+    samples = np.column_stack([recording.samples[:, 0], np.roll(recording.samples[:, 1], lag)])
+    late = Recording((HAMMER, replace(X, delay=lag / RATE)), samples, RATE, "late")
+    settings = FrfSettings(
+        excitation="impact", block=BLOCK, band=(30.0, 90.0), impact=ImpactSettings(decay=0.2)
+    )
+    matrices = [measure([source], settings).matrix for source in (recording, late)]
+    np.testing.assert_allclose(matrices[1], matrices[0], rtol=1e-3)
