@@ -15,7 +15,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance
-from labpipe.spectra.bands import line_range
+from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF
 from labpipe.spectra.damping import (
@@ -35,6 +35,8 @@ CLIPPED_RUN = 3
 # Share of the double-hit level below which the contact has ended; a later rise above that level is a second
 # contact.
 ENDED = 0.5
+# Samples before a hit that tell the offset of its block.
+LEAST_BEFORE = 4
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1
 
@@ -112,17 +114,17 @@ def find_hits(
     where the recording begins if it holds one block only, as an analyser stores it. The recording is read
     twice. DataError for a sample that is no number or a force that does not vary.
     """
-    zero_level = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
+    rest = np.median(next(iter(source.blocks(READ_SAMPLES))), axis=0)
     level = settings.trigger * max(
-        float(np.max(np.abs(block[:, force] - zero_level))) for block in checked_blocks(source)
+        float(np.max(np.abs(block[:, force] - rest[force]))) for block in checked_blocks(source)
     )
     before = round(settings.pretrigger * n_sample)
     latest = source.n_sample - n_sample if source.n_sample - n_sample <= before else source.n_sample
     search, number = HitSearch(force, n_sample, before, len(source.channels), latest), first_number
     for block in checked_blocks(source):
         search.add(block)
-        for start, trigger, samples in search.hits(zero_level, lambda: level):
-            yield judged_hit(number, start, samples, trigger, force, settings)
+        for start, trigger, samples in search.hits(rest[force], lambda: level):
+            yield judged_hit(number, start, samples, trigger, force, settings, rest)
             number += 1
 
 
@@ -135,7 +137,7 @@ def hit_counts(sources: Sequence[SampleSource], settings: FrfSettings) -> list[i
     if reject:
         assert settings.block is not None
         for place, source in enumerate(sources):
-            n_sample = round(settings.block * source.sample_rate)
+            n_sample = block_samples(source, settings.block)
             hits = find_hits(source, check_single_force(source), n_sample, settings.impact)
             counts[place] = sum(1 for _ in hits)
         if max(reject) > sum(counts):
@@ -155,14 +157,20 @@ def of_recordings(settings: FrfSettings, chosen: Iterable[int], counts: Sequence
 
 
 def judged_hit(
-    number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings
+    number: int,
+    start: int,
+    raw: FloatArray,
+    trigger: int,
+    force: int,
+    settings: ImpactSettings,
+    rest: FloatArray,
 ) -> Hit:
     """The hit in a block of samples *raw* (n_sample, n_channel) [SI], with the reason to leave it out.
 
-    *trigger*: sample at which the force in column *force* rises.
+    *trigger*: sample at which the force in column *force* rises; what comes before tells the offset, or the
+    levels *rest* (n_channel,) of the recording where that is less than LEAST_BEFORE samples.
     """
-    offset = np.median(raw[: max(trigger, 1)], axis=0) if trigger >= 4 else np.zeros(raw.shape[1])
-    samples = raw - offset
+    samples = raw - (np.median(raw[:trigger], axis=0) if trigger >= LEAST_BEFORE else rest)
     if number in settings.reject:
         fault = "left out by hand"
     elif overloaded(samples).any():
@@ -347,14 +355,9 @@ class _HitAverage:
         assert settings.block is not None
         self._source, self._settings = source, settings
         self.force = check_single_force(source)
-        self.n_sample = round(settings.block * source.sample_rate)
-        if source.n_sample < self.n_sample:
-            have = source.n_sample / source.sample_rate
-            raise DataError(
-                f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s",
-                hint="shorten `block`",
-            )
-        self._lines = line_range(self.n_sample, source.sample_rate, settings.band, source.n_sample)
+        # Two samples in every tenth, to see whether the response dies away.
+        self.n_sample = block_samples(source, settings.block, 20)
+        self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
         if settings.damping_window is not None:
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
             self._lines = slice(

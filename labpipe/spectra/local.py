@@ -21,6 +21,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
+from labpipe.spectra.bands import block_samples
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import hermitian, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
@@ -271,9 +272,9 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     """
     assert settings.block is not None
     rate = sources[0].sample_rate
-    n_sample = round(settings.block * rate)
+    n_sample = block_samples(sources[0], settings.block, 8)
     blocks = np.concatenate(
-        [layout.padded(number, _spectra(source, n_sample), 1) for number, source in enumerate(sources)]
+        [layout.padded(e, _spectra(source, settings.block), 1) for e, source in enumerate(sources)]
     )
     n_input = len(layout.inputs)
     half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
@@ -328,16 +329,11 @@ def usual_half_width(n_block: int, n_input: int, degree: int) -> int:
     return next(n for n in range(degree + 1, 10_000) if freedom(n_block, n_input, degree, n) >= USUAL_DOF)
 
 
-def _spectra(source: SampleSource, n_sample: int) -> ComplexArray:
+def _spectra(source: SampleSource, block: float) -> ComplexArray:
     """DFT of all whole blocks, (n_block, n_line, n_channel), lines from the first above 0 Hz to the last
     below half the rate.
     """
-    if source.n_sample < n_sample or n_sample < 8:
-        have = source.n_sample / source.sample_rate
-        raise DataError(
-            f"'{source.name}' is {have:g} s long, too short for one block of "
-            f"{n_sample / source.sample_rate:g} s"
-        )
+    n_sample = block_samples(source, block)
     samples = np.concatenate(list(checked_blocks(source)))
     whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])
     return np.asarray(fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2])

@@ -33,7 +33,7 @@ from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciproc
 from labpipe.spectra.random import random_parts
 from labpipe.spectra.random_lines import LOW_SNR
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.stepped import stepped_parts
+from labpipe.spectra.stepped import SAME_LINE, stepped_parts
 from labpipe.spectra.swept_sine import sweep_parts
 from labpipe.spectra.synchronous import without_shaft
 
@@ -95,10 +95,11 @@ def _with_repeats(
 ) -> FrequencyResponse:
     """The response with that of every recording alone, where each has all of it; *counts*: of their hits.
 
-    Recordings that alone give no response, or other lines, are no repeats; of a single recording its hits
-    are.
+    Recordings that alone give no response, or other lines, are no repeats, but for one whose hits are all
+    left out beside others; of a single recording its hits are.
     """
     ports = [port.label for port in (*response.outputs, *response.inputs)]
+    spacing = float(np.min(np.diff(response.frequency), initial=response.frequency[0]))
     alone, names, levels = [], [], []
     for number, source in enumerate(sources if len(sources) > 1 else ()):
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
@@ -106,15 +107,19 @@ def _with_repeats(
         try:
             of_one = _measure([source], of_recordings(settings, [number], counts), source.name, None)
         except (LabpipeError, np.linalg.LinAlgError):
+            if settings.excitation == "impact":
+                continue
             return response
-        lines = np.isin(of_one.frequency, response.frequency)
+        # The nearest lines: those of dwells differ by the errors of their frequencies.
+        lines = np.searchsorted((of_one.frequency[1:] + of_one.frequency[:-1]) / 2, response.frequency)
+        apart = float(np.max(np.abs(of_one.frequency[lines] - response.frequency)))
         labels = [port.label for port in (*of_one.outputs, *of_one.inputs)]
-        if labels != ports or lines.sum() != response.frequency.size:
+        if labels != ports or apart > SAME_LINE * spacing:
             return response
         alone.append(of_one.matrix[lines])
         names.append(source.name)
         levels.append(_level(source))
-    if not alone:
+    if len(alone) < 2:
         return response
     return dataclasses.replace(
         response,

@@ -20,12 +20,12 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, Blocks, StoredCovariance
 from labpipe.spectra import quality
-from labpipe.spectra.bands import line_range
+from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random, pooled_residual
 from labpipe.spectra.local import local_parts
@@ -362,17 +362,12 @@ def _parts(
 
 def block_average(source: SampleSource, settings: FrfSettings, n_channel: int) -> WelchAverage:
     """The average of *n_channel* channels over the blocks of the settings, to be fed with the samples of a
-    recording; DataError for a block that holds hardly any.
+    recording. Raises as block_samples and line_range.
     """
     assert settings.block is not None
-    n_sample = round(settings.block * source.sample_rate)
-    if n_sample < 4:
-        raise DataError(
-            f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'",
-            hint="lengthen `block`",
-        )
+    n_sample = block_samples(source, settings.block)
     step = max(1, round(n_sample * (1 - settings.overlap)))
-    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+    lines = line_range(n_sample, source.sample_rate, settings.band)
     return WelchAverage(window_values(settings.window, n_sample), step, n_channel, lines, settings.detrend)
 
 

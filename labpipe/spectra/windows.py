@@ -27,6 +27,17 @@ SHARED = 1e-3
 FURTHEST_LINE = 20
 # The same for the exponential window, whose noise falls off slowly: as one over the distance.
 FAINT = 0.02
+# Windows whose parameters are numbers of samples.
+IN_SAMPLES = (
+    "exponential",
+    "poisson",
+    "gaussian",
+    "gauss",
+    "gss",
+    "general_gaussian",
+    "general_gauss",
+    "ggs",
+)
 # Samples that stand for a window whose length is not known: its correlation depends on the shape alone.
 WINDOW_SAMPLES = 1024
 
@@ -43,11 +54,14 @@ def hann(n_sample: int) -> FloatArray:
 def window_values(name: str, n_sample: int) -> FloatArray:
     """The periodic (DFT-even) window of that name, (n_sample,) [1]; "tukey 0.25" gives a parameter.
 
-    ConfigError for an unknown name.
+    ConfigError for an unknown name, and for a window whose shape is not the same over any number of samples.
     """
     if name == "hann":
         return hann(n_sample)
     kind, *parameters = name.split()
+    if kind in IN_SAMPLES:
+        what = f"the parameter of the window '{name}' counts samples, so that its shape depends on the block"
+        raise ConfigError(what, hint="for example 'kaiser 8'")
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
         with np.errstate(all="ignore"):

@@ -165,6 +165,8 @@ def test_records_that_hold_too_little_are_refused() -> None:
     settings = FrfSettings("random", block="2 s", local="polynomial")
     with pytest.raises(DataError, match=r"is 1.5 s long, too short for one block of 2 s"):
         measure([recording(150)], settings)
+    with pytest.raises(DataError, match=r"a block of 0.05 s holds 5 samples of '.*', 8 are needed"):
+        measure([recording(150)], FrfSettings("random", block="50 ms", local="polynomial"))
     with pytest.raises(DataError, match="fewer lines than the window of 15"):
         measure([recording(24)], FrfSettings("random", block="0.2 s", local="polynomial", half_width=7))
     with pytest.raises(DataError, match="half_width: 3 leaves the noise unknown"):
