@@ -23,6 +23,9 @@ LOW_SHARE = 0.005
 # A period belongs to the dwell while its crossing lies within so many standard errors of where the periods
 # before put it.
 WITHIN = 6.0
+# Most by which a straight line through the samples of a sine misses its crossing [periods], times the square
+# of the samples per period: all that the crossings of a force without noise scatter by.
+BENT = 0.3
 # Scatter of the crossings [periods] above which the force is no sine; least that is believed.
 MOST_SCATTER, LEAST_SCATTER = 0.05, 1e-6
 # Standard errors of the curvature of the phase by which a frequency runs on instead of staying.
@@ -119,7 +122,9 @@ def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]
     line = _Line()
     for number, time in enumerate(times):
         at = number - first
-        if at >= 3 and abs(time - line.at(at)) > WITHIN * scatter * line.slope * line.spread(at):
+        if at >= 3 and abs(time - line.at(at)) > line.spread(at) * max(
+            WITHIN * scatter * line.slope, 2 * BENT / line.slope
+        ):
             pieces.append((first, number))
             first, line = number, _Line()
         line.add(float(number - first), time)

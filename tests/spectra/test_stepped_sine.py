@@ -215,3 +215,13 @@ def test_recordings_of_one_force_are_repeats() -> None:
         np.testing.assert_array_equal(
             matrix, measure([source], FrfSettings(excitation="stepped-sine")).matrix
         )
+
+
+def test_a_quiet_force_of_few_samples_per_period_keeps_its_dwells() -> None:
+    """A straight line through n samples per period misses a crossing by up to .3 / n^2 periods: of a generator's
+    sine that was taken for steps, and there were ten times as many dwells.
+    """
+    steps = np.arange(50.0, 120.0, 5.0)
+    time = np.arange(4000) / 1000
+    dwells = find_dwells(np.concatenate([np.sin(2 * np.pi * f * time) for f in steps]))
+    np.testing.assert_allclose([1000 * dwell.frequency for dwell in dwells], steps, rtol=1e-4)
