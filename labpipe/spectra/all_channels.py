@@ -31,6 +31,7 @@ from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed
 from labpipe.spectra.periodic import period_average
 from labpipe.spectra.ports import check_rates, source_findings, without_short
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
+from labpipe.spectra.random import SAME_ERRORS, SAME_SHARE
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
@@ -39,8 +40,6 @@ from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 ENOUGH_DOF = 13.0
 # Degrees of freedom beyond which more of them would gain less than a twentieth.
 PLENTY_DOF = 60.0
-# Runs share their noise unless it differs by more than this share and by more standard errors than this.
-SAME_SHARE, SAME_ERRORS = 0.1, 4.0
 
 
 def periodic_lines(

@@ -261,6 +261,9 @@ def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count:
 
 # Recordings of a random excitation -> FRF matrix by Welch's averages, with coherence and covariance.
 
+# Recordings share their noise unless it differs by more than this share and more standard errors than this.
+SAME_SHARE, SAME_ERRORS = 0.1, 4.0
+
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings, or by local polynomials.
@@ -419,10 +422,11 @@ def parts_of_single_forces(
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
     numbers of blocks.
 
-    The noise of the responses, S_yy - H S_uy, is common to all columns, and averaged over *half_width* lines
-    around. DataError for a force without power.
+    The noise of the responses, S_yy - H S_uy, is that of all recordings, averaged over *half_width* lines
+    around, and raised or lowered where a force's own recordings have another level. DataError for a force
+    without power.
     """
-    power, s_yu, s_yy = _sum(spectra, chosen, layout)
+    power, s_yu, s_yy, own = _sum(spectra, chosen, layout)
     quality.check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
@@ -430,7 +434,9 @@ def parts_of_single_forces(
     if averages > n_input + 1:
         residual = without_rounding(s_yy - response @ hermitian(s_yu))
         covariance = _covariance(
-            pooled_residual(residual, response, half_width), power * (averages - n_input)
+            pooled_residual(residual, response, half_width),
+            power * (averages - n_input),
+            _levels(own - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout)),
         )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
@@ -442,13 +448,14 @@ def parts_of_single_forces(
 
 def _sum(
     spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout
-) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+) -> tuple[FloatArray, ComplexArray, ComplexArray, FloatArray]:
     """S_uu (n_line, n_input) [N^2/Hz], S_yu (n_line, n_output, n_input) and S_yy (n_line, n_output, n_output)
-    over all recordings.
+    over all recordings; the part of its diagonal from those of each force (n_line, n_output, n_input).
     """
     n_line, n_input, n_output = int(np.count_nonzero(chosen)), len(layout.inputs), len(layout.outputs)
     power = np.zeros((n_line, n_input))
     s_yu, s_yy = (np.zeros((n_line, n_output, n), np.complex128) for n in (n_input, n_output))
+    own = np.zeros((n_line, n_output, n_input))
     n_block = sum(spectrum.n_block for spectrum in spectra)
     for spectrum, inputs, outputs in zip(spectra, layout.input_columns, layout.output_columns, strict=True):
         ((force, column),) = [(number, column) for number, column in enumerate(inputs) if column >= 0]
@@ -456,15 +463,38 @@ def _sum(
         power[:, force] += share * matrix[:, column, column].real
         s_yu[:, :, force] += share * matrix[:, rows, column]
         s_yy += share * matrix[:, rows][:, :, rows]
-    return power, s_yu, s_yy
+        own[:, :, force] += share * matrix[:, rows, rows].real
+    return power, s_yu, s_yy, own
 
 
-def _covariance(residual: ComplexArray, power: FloatArray) -> BlockCovariance:
-    """cov(H_oi, H_pi) = S_rr[o, p] / power_i, a block for every force.
+def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
+    """Averages (n_input,) [1] of the recordings of each force."""
+    acting = np.array(layout.input_columns) >= 0
+    return np.asarray(np.array([spectrum.averages for spectrum in spectra]) @ acting)
 
-    *power* (n_line, n_input) [N^2/Hz] times degrees of freedom.
+
+def _levels(residual: FloatArray, averages: FloatArray) -> FloatArray:
+    """Noise of the responses in the recordings of each force over that of all (n_output, n_input) [1], the
+    mean over the lines; 1 where they are alike within the errors of such means.
+
+    *residual* (n_line, n_output, n_input) [unit^2/Hz] of those recordings, *averages* (n_input,) in them.
+    """
+    dof = np.maximum(averages - 1, 0.0)
+    pooled = residual.sum(axis=2, keepdims=True) / dof.sum()
+    ratio = np.divide(residual, pooled, out=np.ones_like(residual), where=pooled > 0)
+    level = ratio.mean(axis=0) / np.where(dof > 0, dof, 1.0)
+    error = np.sqrt((1 / np.maximum(dof, 1.0) + 1 / dof.sum()) / residual.shape[0])
+    alike = np.abs(level - 1) < np.maximum(SAME_SHARE, SAME_ERRORS * error)
+    return np.where(alike | (dof == 0), 1.0, np.maximum(level, 0.0))
+
+
+def _covariance(residual: ComplexArray, power: FloatArray, levels: FloatArray) -> BlockCovariance:
+    """cov(H_oi, H_pi) = S_rr[o, p] sqrt(g_oi g_pi) / power_i, a block for every force.
+
+    *power* (n_line, n_input) [N^2/Hz] times degrees of freedom; *levels* g (n_output, n_input) [1].
     """
     n_output, n_input = residual.shape[1], power.shape[1]
     elements = np.arange(n_output * n_input).reshape(n_output, n_input).T
-    blocks = residual[:, None] / power[:, :, None, None]
+    size = np.sqrt(levels).T
+    blocks = residual[:, None] / power[:, :, None, None] * (size[:, :, None] * size[:, None, :])
     return BlockCovariance(elements, handed_over(blocks))

@@ -308,3 +308,20 @@ def test_a_channel_has_one_delay_in_all_recordings(rng: np.random.Generator) -> 
         channels = tuple(late if c.name == late.name else c for c in sources[1].channels)
         with pytest.raises(DataError, match=f"'{late.name}' has not the same delay"):
             measure([sources[0], replace(sources[1], channels=channels)], PERIODIC)
+
+
+def test_noise_of_another_level_in_the_recordings_of_a_force_is_that_of_its_column() -> None:
+    """White noise s on a force u of variance p over n averages: E|dH|^2 = s^2 / (p n). A tenth of both in the
+    second recording: the noise of both together made it 2 times too small in the first column, 50 times too
+    large in the second.
+    """
+    rng = np.random.default_rng(11)
+    x, y = (Channel(name, "displacement", "output", name) for name in "xy")
+    sources = []
+    for name, level in (("f", 1.0), ("g", 0.1)):
+        force = level * rng.normal(size=(20_000, 1))
+        samples = np.hstack([force, force * [2.0, 0.3] + 0.5 * level * rng.normal(size=(20_000, 2))])
+        sources.append(Recording((Channel(name, "force", "input", name), x, y), samples, 1e3, name))
+    settings = FrfSettings(excitation="random", block=0.25, band=(20.0, 400.0))
+    averages = measure(sources[:1], settings).averages
+    np.testing.assert_allclose(measure(sources, settings).variance.mean(axis=0), 0.25 / averages, rtol=0.1)

@@ -218,8 +218,8 @@ def test_recordings_of_one_force_are_repeats() -> None:
 
 
 def test_a_quiet_force_of_few_samples_per_period_keeps_its_dwells() -> None:
-    """A straight line through n samples per period misses a crossing by up to .3 / n^2 periods: of a generator's
-    sine that was taken for steps, and there were ten times as many dwells.
+    """A straight line through n samples per period misses a crossing by up to .3 / n^2 periods: of a
+    generator's sine that was taken for steps, and there were ten times as many dwells.
     """
     steps = np.arange(50.0, 120.0, 5.0)
     time = np.arange(4000) / 1000
