@@ -26,12 +26,12 @@ from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
 from labpipe.spectra.channels import in_time
+from labpipe.spectra.covariance import SAME_ERRORS, SAME_SHARE
 from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
 from labpipe.spectra.periodic import period_average
 from labpipe.spectra.ports import check_rates, source_findings, without_short
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
-from labpipe.spectra.random import SAME_ERRORS, SAME_SHARE
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.synchronous import lines_of_shaft, without_shaft

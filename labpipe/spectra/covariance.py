@@ -26,6 +26,9 @@ ENOUGH_DOF = 16.0
 # must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Recordings share their noise unless it differs by more than this share and more standard errors than this.
+# Their levels are compared on lines with the mean of so many to either side.
+SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
 # Numbers of matrices that are made together: a part of the cache.
@@ -140,6 +143,23 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
         neighbourhood_mean(residual / scale, np.ones(residual.shape[0], bool), half_width) * scale
     )
     return mean
+
+
+def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
+    """Noise of the responses where each force acts over that of all (n_output, n_input) [1], the mean over
+    the lines; 1 where they are alike within the errors of such means.
+
+    *residual* (n_line, n_output, n_input) [any unit] of *dof* (n_input,) complex degrees of freedom per line.
+    """
+    every = np.ones(len(residual), bool)
+    # Of single lines a quotient of two estimates would be too large on average.
+    pooled = neighbourhood_mean(residual.sum(axis=2, keepdims=True) / dof.sum(), every, SMOOTH)
+    ratio = np.divide(residual, pooled, out=np.ones_like(residual), where=pooled > 0)
+    known = dof > 0
+    level = ratio.mean(axis=0) / np.where(known, dof, 1.0)
+    error = np.sqrt((1 / np.where(known, dof, 1.0) + 1 / dof.sum()) / residual.shape[0])
+    alike = np.abs(level - 1) < np.maximum(SAME_SHARE, SAME_ERRORS * error)
+    return np.where(alike | ~known, 1.0, np.maximum(level, 0.0))
 
 
 def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:

@@ -173,13 +173,14 @@ class LocalNoise:
     one block.
 
     leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread* (n_line,
-    n_block, n_output) [1]; *dof* complex degrees of freedom of the noise of a line, *width* the number of
-    lines they come from.
+    n_block, n_output) [1]; of_blocks (n_line, n_block, n_output) [output unit^2]: what each block leaves;
+    *dof* complex degrees of freedom of the noise of a line, *width* the number of lines they come from.
     """
 
     noise: ComplexArray
     leakage: ComplexArray
     spread: FloatArray
+    of_blocks: FloatArray
     dof: int
     width: int
 
@@ -200,21 +201,19 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
     half_width lines are left out. Equation (frf-local-rational).
     """
     parts = [_around_lines(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
-    noises, leakages, spreads = zip(*parts, strict=True)
+    noise: ComplexArray
+    noise, leakage, spread, of_blocks = (np.concatenate(part) for part in zip(*parts, strict=True))
     dof = noise_freedom(forces.shape[0], forces.shape[2], degree, half_width)
-    noise: ComplexArray = np.concatenate(noises)
-    leakage, spread = np.concatenate(leakages), np.concatenate(spreads)
-    return LocalNoise(noise / dof, leakage, spread, dof, 2 * half_width + 1)
+    return LocalNoise(noise / dof, leakage, spread, of_blocks, dof, 2 * half_width + 1)
 
 
 def _around_lines(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
-) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Sums of the residual's products (n_line, n_output, n_output), leakage and spread (n_line, n_block,
-    n_output).
+) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray]:
+    """Sums of the residual's products (n_line, n_output, n_output), leakage, spread and the residual's power
+    (n_line, n_block, n_output).
     """
-    n_block, _, n_output = responses.shape
-    width = 2 * half_width + 1
+    n_output = responses.shape[2]
     of_forces, y, smooth = _windows(forces, responses, degree, half_width)
     offsets = np.arange(-half_width, half_width + 1) / half_width
     residuals, leakage, spread = [], [], []
@@ -222,11 +221,13 @@ def _around_lines(
         # The output's own column takes the pole: -a r Y on the right side.
         columns = np.concatenate([of_forces, (y[..., output] * offsets)[..., None]], axis=3)
         residual, leaked, variance = _solve(columns, y[..., output], smooth, half_width)
-        residuals.append(residual.reshape(residual.shape[0], n_block * width))
+        residuals.append(residual)
         leakage.append(leaked)
         spread.append(variance)
-    joined = np.stack(residuals, axis=1)
-    return joined @ hermitian(joined), np.stack(leakage, axis=2), np.stack(spread, axis=2)
+    stacked = np.stack(residuals, axis=1)
+    joined, of_blocks = stacked.reshape(*stacked.shape[:2], -1), np.sum(np.abs(stacked) ** 2, axis=3)
+    products = joined @ hermitian(joined)
+    return products, np.stack(leakage, axis=2), np.stack(spread, axis=2), of_blocks.swapaxes(1, 2)
 
 
 def _solve(

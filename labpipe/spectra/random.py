@@ -27,7 +27,7 @@ from labpipe.records.response import BlockCovariance, Blocks, StoredCovariance
 from labpipe.spectra import quality
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random, pooled_residual
+from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random, noise_levels, pooled_residual
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
@@ -261,9 +261,6 @@ def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count:
 
 # Recordings of a random excitation -> FRF matrix by Welch's averages, with coherence and covariance.
 
-# Recordings share their noise unless it differs by more than this share and more standard errors than this.
-SAME_SHARE, SAME_ERRORS = 0.1, 4.0
-
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings, or by local polynomials.
@@ -436,7 +433,7 @@ def parts_of_single_forces(
         covariance = _covariance(
             pooled_residual(residual, response, half_width),
             power * (averages - n_input),
-            _levels(own - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout)),
+            noise_levels(own - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout) - 1),
         )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
@@ -471,21 +468,6 @@ def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
     """Averages (n_input,) [1] of the recordings of each force."""
     acting = np.array(layout.input_columns) >= 0
     return np.asarray(np.array([spectrum.averages for spectrum in spectra]) @ acting)
-
-
-def _levels(residual: FloatArray, averages: FloatArray) -> FloatArray:
-    """Noise of the responses in the recordings of each force over that of all (n_output, n_input) [1], the
-    mean over the lines; 1 where they are alike within the errors of such means.
-
-    *residual* (n_line, n_output, n_input) [unit^2/Hz] of those recordings, *averages* (n_input,) in them.
-    """
-    dof = np.maximum(averages - 1, 0.0)
-    pooled = residual.sum(axis=2, keepdims=True) / dof.sum()
-    ratio = np.divide(residual, pooled, out=np.ones_like(residual), where=pooled > 0)
-    level = ratio.mean(axis=0) / np.where(dof > 0, dof, 1.0)
-    error = np.sqrt((1 / np.maximum(dof, 1.0) + 1 / dof.sum()) / residual.shape[0])
-    alike = np.abs(level - 1) < np.maximum(SAME_SHARE, SAME_ERRORS * error)
-    return np.where(alike | (dof == 0), 1.0, np.maximum(level, 0.0))
 
 
 def _covariance(residual: ComplexArray, power: FloatArray, levels: FloatArray) -> BlockCovariance:
