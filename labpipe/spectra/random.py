@@ -23,11 +23,17 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import BlockCovariance, Blocks, StoredCovariance
+from labpipe.records.response import BlockCovariance, Blocks, FactoredCovariance, StoredCovariance
 from labpipe.spectra import quality
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random, noise_levels, pooled_residual
+from labpipe.spectra.covariance import (
+    covariance_of_h1,
+    covariance_of_random,
+    noise_levels,
+    pooled_residual,
+    residual_spectrum,
+)
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
@@ -169,13 +175,16 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
     Or (n_line, n_channel, n_input), where they are those of all channels with the forces that act in each
     recording.
     """
-    n_block = sum(spectrum.n_block for spectrum in spectra)
     if len(spectra) == 1:
         return _pad(layout, 0, spectra[0].matrix)
-    joined: ComplexArray = np.sum(
-        [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0
-    )
+    joined: ComplexArray = np.sum(_shares(spectra, layout), axis=0)
     return joined
+
+
+def _shares(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
+    """What each recording adds to joined_spectra."""
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
 
 def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
@@ -318,6 +327,9 @@ def parts_of_spectra(
     covariance: StoredCovariance = None
     if averages > n_input + 1 and settings.estimator == "H1":
         covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
+        if len(spectra) > 1:
+            parts = [at_lines(part, chosen) for part in _shares(spectra, layout)]
+            covariance = _by_recordings(covariance, parts, response, [part.averages for part in spectra])
     elif averages > n_input + 1:
         instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
         covariance = covariance_of_random(matrix, response, instruments, averages, half_width)
@@ -331,6 +343,34 @@ def parts_of_spectra(
         if n_input > 1
         else None,
     )
+
+
+def _by_recordings(
+    covariance: FactoredCovariance,
+    parts: Sequence[ComplexArray],
+    response: ComplexArray,
+    averages: Sequence[float],
+) -> StoredCovariance:
+    """The *covariance* of H1 = *response* where the noise is not alike in all recordings: the sum of R_e
+    times S_uu^-1 S_uu,e S_uu^-1. *parts* (n_line, n_channel, n_channel) [unit^2/Hz] of the spectra, with
+    so many *averages* each.
+    """
+    n_input = response.shape[2]
+    free = sum(averages) - n_input
+    inverse_force = covariance.inputs.swapaxes(1, 2) * free
+    left = [np.einsum("loo->lo", residual_spectrum(part, response)).real for part in parts]
+    # A recording with most of the power of a force leaves little beside the common H.
+    own = [inverse_force @ part[:, :n_input, :n_input] for part in parts]
+    taken = [float(np.mean(np.einsum("lii->l", share).real)) for share in own]
+    levels = noise_levels(np.stack(left, axis=2), np.array(averages) - taken)
+    if np.all(levels == 1):
+        return covariance
+    whole = np.zeros(covariance.shape, np.complex128)
+    for share, size in zip(own, np.sqrt(levels).T, strict=True):
+        inputs = share @ inverse_force / free
+        outputs = covariance.outputs * np.outer(size, size)
+        whole += (outputs[:, :, None, :, None] * inputs.swapaxes(1, 2)[:, None, :, None]).reshape(whole.shape)
+    return without_rounding(whole)
 
 
 def _parts(
