@@ -104,9 +104,7 @@ def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
 
 
 def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
-    """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side
-    or as many as are needed.
-    """
+    """The spectra with noise averaged over runs that share it and over lines, as many as are needed."""
     # The noise of one period.
     single = [s.noise * s.n_period for s in spectra if s.noise is not None]
     dofs = [spectrum.dof for spectrum in spectra]

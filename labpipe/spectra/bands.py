@@ -74,8 +74,6 @@ def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
     return (frequency >= low * (1 - EDGE)) & (frequency <= high * (1 + EDGE))
 
 
-# Lines of the shaft speed and its harmonics, excluded from a response.
-
 # Half width of the mask [lines]: a window's main lobe for random data; periodic data do not leak where the
 # speed lies on a line.
 LOBE = {"periodic": 0.5, "random": 2.0, "impact": 2.0}

@@ -101,9 +101,7 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 def _derivative(
     channels: Sequence[Channel], combined: ComplexArray, number: int, uncertainty: ChannelUncertainty
 ) -> tuple[ComplexArray, int]:
-    """The change of the vector per unit of the error, and the power of the angular frequency that goes with
-    it.
-    """
+    """The change of the vector per unit of the error, and the power of w that goes with it."""
     n_channel, n_recorded = combined.shape
     if uncertainty.effect == "direction":
         change = np.zeros((n_recorded, n_channel), np.complex128)

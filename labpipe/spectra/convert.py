@@ -82,7 +82,6 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
 def _with_each(
     response: FrequencyResponse, turn: Callable[[ComplexArray], ComplexArray]
 ) -> FrequencyResponse:
-    """The response with H and all that is added to it *turned* alike."""
     beside = {name: getattr(response, name) for name in ("change", "open_loop", "repeats")}
     turned: dict[str, Any] = {name: None if part is None else turn(part) for name, part in beside.items()}
     return dataclasses.replace(

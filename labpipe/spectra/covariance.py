@@ -106,10 +106,7 @@ def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexA
 
 
 def _join(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
-    """residual[o, p] spread[o, i, p, j] as matrices over o i and p j, (n_frequency, n, n).
-
-    Hermitian where both are.
-    """
+    """residual[o, p] spread[o, i, p, j] as Hermitian matrices over o i and p j."""
     n_frequency, n_output = residual.shape[:2]
     n = n_output * spread.shape[2]
     covariance = lines_last(n_frequency, n, n)
@@ -163,9 +160,7 @@ def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
 
 
 def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
-    """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error,
-    else 1; |H|^2 = *power*.
-    """
+    """a + b |H|^2 of a residual's *variance* where b is SIGNIFICANT, else 1; |H|^2 = *power*."""
 
     shape = np.ones_like(variance)
     # A silent response has no power.

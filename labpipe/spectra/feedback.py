@@ -89,9 +89,7 @@ def _feedback(
     columns: Sequence[tuple[list[int], list[int], list[int]]],
     reference: tuple[str, ...],
 ) -> tuple[Finding, ...]:
-    """The warnings on the order of *columns* in each recording: references or else forces, then responses;
-    a reference that only lags is late.
-    """
+    """Warnings on the order of *columns* in each recording: references or else forces, then responses."""
     chances: dict[str, float] = {}
     late: dict[str, float] = {}
     for source, (references, forces, responses) in zip(sources, columns, strict=True):
@@ -189,7 +187,6 @@ def _findings(
 
 
 def _first_samples(source: SampleSource) -> FloatArray:
-    """At most MOST_SAMPLES of the beginning of a recording, (n_sample, n_channel)."""
     pieces: list[FloatArray] = []
     for block in checked_blocks(source):
         pieces.append(block)
@@ -223,9 +220,7 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
 
 
 def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scale: float) -> list[float]:
-    """p-values of all pairs in lines first ... last; *scale*: by how much the taper of the record raises
-    variances.
-    """
+    """p-values of all pairs in lines first ... last; *scale*: what the taper raises variances by."""
     first, last = band
     u, y = spectra[:last, :n_input], spectra[:last, n_input:]
     w = np.pi * np.arange(1, last + 1) / last
@@ -255,18 +250,14 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
 
 
 def _fade(w: FloatArray, first: int) -> FloatArray:
-    """Weights of lines at *w* (n_line,): they fade in from line *first* to twice that, and out over TAPER of
-    the band.
-    """
+    """Weights of lines at *w*: in from line *first* to twice that, out over TAPER of the band."""
     upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
     rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
     return np.asarray(upper * 0.5 * (1 - np.cos(np.pi * rising)))
 
 
 def _level(u: ComplexArray) -> FloatArray:
-    """Amplitude of spectra (n_line, n) over bands of equal ratio, (n_line, n): within a few lines a steep
-    spectrum is then flat.
-    """
+    """Amplitude (n_line, n) over bands of equal ratio: divided by it a steep spectrum is flat."""
     n = u.shape[0]
     edges = np.unique(np.round(np.geomspace(1, n + 1, LOG_BANDS)).astype(int)) - 1
     power = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -276,11 +267,7 @@ def _level(u: ComplexArray) -> FloatArray:
 
 
 def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the *lags* before 0 (LAGS.stop,) of an FRF with its *variance* (n_line,) [of the FRF].
-
-    *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of
-    account.
-    """
+    """p-value of the *lags* before 0 by an FRF's *variance* (n_line,), but for a slow curve of a *degree*."""
     before = np.array(LAGS)
     lags = lags[LAGS.start :]
     covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
@@ -312,9 +299,7 @@ def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
 
 
 def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
-    """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force
-    that is not coherent beyond.
-    """
+    """First of the coarse bands, and first above, between cliffs in the power of a force."""
     first, last = 0, coarse.shape[0]
     here = np.arange(last)[:, None]
     other = here.T
@@ -334,7 +319,6 @@ def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
 
 
 def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
-    """The largest coherence of a force with a response, (n_line,)."""
     force, largest, conjugate = _average(np.abs(u) ** 2).real, np.zeros(u.shape[0]), u.conj()
     for output in y.T:
         # One response at a time stays in the cache.
@@ -360,9 +344,7 @@ def _average(values: ComplexArray | FloatArray) -> ComplexArray:
 
 
 def _whitening(power: FloatArray) -> ComplexArray:
-    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,):
-    causal, as its inverse is.
-    """
+    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of a signal's autoregression: causal, as its inverse."""
     covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
@@ -370,10 +352,7 @@ def _whitening(power: FloatArray) -> ComplexArray:
 
 
 def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
-    """Sum over lines k = 1 ... n of values (n, ...) [any unit] times e^{-j pi k t / n}, at lags t = 0 ...
-
-    *number* - 1, (number, ...).
-    """
+    """Sum over lines k = 1 ... n of values (n, ...) times e^{-j pi k t / n}, t = 0 ... *number* - 1."""
     n = values.shape[0]
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft

@@ -44,9 +44,7 @@ LEAST_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class _Levels:
-    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period and
-    stretch of whole periods [samples], rms of the noise.
-    """
+    """All outputs together, each over its rms; period and stretch [samples], rms of the noise."""
 
     size: FloatArray
     period: int
@@ -100,7 +98,6 @@ def free_decays(
 
 
 def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -> list[tuple[int, int]]:
-    """First sample and end of every decay of a recording (n_sample, n_output)."""
     decay = settings.decay
     if decay.start is not None:
         end = samples.shape[0] if decay.end is None else round(decay.end * rate)
@@ -144,9 +141,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
 
 
 def _period(samples: FloatArray) -> int:
-    """The period [samples] of the strongest line of the velocity: a drift or a step in the displacement is no
-    oscillation.
-    """
+    """The period [samples] of the strongest line of the velocity: a drift or a step is no oscillation."""
     spectrum = np.sum(np.abs(fft.rfft(samples, axis=0)) ** 2, axis=1)
     strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
     return max(2, round(samples.shape[0] / max(strongest, 1)))
@@ -168,10 +163,7 @@ def _swinging(samples: FloatArray, length: int) -> FloatArray:
 
 
 def _rest(samples: FloatArray, length: int) -> FloatArray:
-    """The mean (n_sample, n_output) over *length* samples about every sample.
-
-    Near the ends that of the first or last so many.
-    """
+    """The mean over *length* samples about every sample, near the ends that of the first or last so many."""
     if samples.shape[0] <= length:
         return np.mean(samples, axis=0, keepdims=True)
 

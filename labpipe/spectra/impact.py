@@ -13,7 +13,7 @@ from scipy import fft
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
-from labpipe.records.recording import SampleSource
+from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
@@ -124,7 +124,7 @@ def find_hits(
     for block in checked_blocks(source):
         search.add(block)
         for start, trigger, samples in search.hits(rest[force], lambda: level):
-            yield judged_hit(number, start, samples, trigger, force, settings, rest)
+            yield judged_hit(number, start, samples, trigger, source.channels, settings, rest)
             number += 1
 
 
@@ -161,20 +161,21 @@ def judged_hit(
     start: int,
     raw: FloatArray,
     trigger: int,
-    force: int,
+    channels: Sequence[Channel],
     settings: ImpactSettings,
     rest: FloatArray,
 ) -> Hit:
     """The hit in a block of samples *raw* (n_sample, n_channel) [SI], with the reason to leave it out.
 
-    *trigger*: sample at which the force in column *force* rises; what comes before tells the offset, or the
-    levels *rest* (n_channel,) of the recording where that is less than LEAST_BEFORE samples.
+    *trigger*: sample at which the force rises; what comes before tells the offset, or, of less than
+    LEAST_BEFORE samples, the levels *rest* (n_channel,) of the recording.
     """
     samples = raw - (np.median(raw[:trigger], axis=0) if trigger >= LEAST_BEFORE else rest)
+    force = columns_of(channels, "input")[0]
     if number in settings.reject:
         fault = "left out by hand"
     elif overloaded(samples).any():
-        fault = f"overload of channel {int(np.argmax(overloaded(samples))) + 1}"
+        fault = f"overload of channel '{channels[int(np.argmax(overloaded(samples)))].name}'"
     elif is_double(samples[:, force], settings.double_hit):
         fault = "double hit"
     else:
@@ -324,12 +325,8 @@ def force_noise_findings(
 
 
 def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
-    """The recordings with a good hit, and their layout: of hits that lie one per file a bad one costs its
-    file only, and what follows an interruption may hold none.
-
-    All recordings where a force would be left without any, which is then refused.
-    """
-    kept = [number for number, average in enumerate(averages) if average.has_hit]
+    """The recordings with a good hit, and their layout; all where a force would be left without any."""
+    kept = [number for number, average in enumerate(averages) if average.n_hit]
     driven = {n for number in kept for n, column in enumerate(layout.input_columns[number]) if column >= 0}
     if len(driven) < len(layout.inputs):
         return averages, layout
@@ -341,9 +338,7 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
 
 
 def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
-    """Lines to either side over which the noise is averaged, and how many lines share one value of it: 1 + 2
-    sum |r_d|^2.
-    """
+    """Lines to either side that the noise is averaged over, and how many share one value of it."""
     shared = 1.0 + 2 * float(np.sum(np.abs(correlation) ** 2))
     return (int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0), shared
 
@@ -367,7 +362,7 @@ class _HitAverage:
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
-        self._n_hit = self.n_found = 0
+        self.n_hit = self.n_found = 0
         # Mean power of the force's noise at the lines, summed over the hits.
         self._noise = 0.0
         self._origins: list[float] = []
@@ -381,17 +376,13 @@ class _HitAverage:
         self.n_found += 1
         if hit.fault:
             at = hit.start / self._source.sample_rate
-            fault = hit.fault
-            what, _, column = fault.rpartition(" ")
-            if column.isdigit():
-                fault = f"{what} '{self._source.channels[int(column) - 1].name}'"
-            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {fault}"
+            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {hit.fault}"
             self.findings.append(note("hit-rejected", message))
             return
         samples = self._window(hit)
         amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
-        self._n_hit += 1
+        self.n_hit += 1
         self._noise += self._noise_power(hit)
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
@@ -407,9 +398,7 @@ class _HitAverage:
         return samples
 
     def _noise_power(self, hit: Hit) -> float:
-        """Mean |X|^2 over the lines of the noise of the force under its windows, by what the hammer shows in
-        the second half of what follows the hit.
-        """
+        """Mean |X|^2 of the force's noise under its windows, by the second half of what follows the hit."""
         rate, length = self._source.sample_rate, self._settings.impact.force_window
         decay = self._settings.damping_window
         rest = hit.samples[(self.n_sample + hit.trigger) // 2 :, self.force]
@@ -429,7 +418,7 @@ class _HitAverage:
         the short window leaves, which lines nearer than its inverse share.
         """
         share = self._noise / np.maximum(self._sum[:, self.force, self.force].real, np.finfo(float).tiny)
-        return share if self._settings.impact.force_window is None else np.sqrt(share / (2 * self._n_hit))
+        return share if self._settings.impact.force_window is None else np.sqrt(share / (2 * self.n_hit))
 
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
@@ -447,7 +436,7 @@ class _HitAverage:
 
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
-        if not self._n_hit:
+        if not self.n_hit:
             reason = "no hit whose block is complete"
             if self.n_found:
                 reason = f"{self.n_found} hit(s) found, none of them good"
@@ -456,7 +445,7 @@ class _HitAverage:
             raise DataError("; ".join(what), hint=hint)
         spacing = self._source.sample_rate / self.n_sample
         frequency = np.arange(self._lines.start, self._lines.stop) * spacing
-        return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
+        return CrossSpectra(frequency, self._sum * (1.0 / self.n_hit), self.n_hit, float(self.n_hit))
 
     def with_hits(self, parts: Parts, layout: Layout) -> Parts:
         """The parts with the FRFs of every hit alone, where there are two or more of one force, each with all
@@ -475,10 +464,6 @@ class _HitAverage:
         alone = np.stack(amplitudes, axis=1)
         hits: ComplexArray = alone[:, :, columns, None] / alone[:, :, self.force, None, None]
         return dataclasses.replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
-
-    @property
-    def has_hit(self) -> bool:
-        return self._n_hit > 0
 
     def slow_finding(self) -> Finding:
         """The warning of responses that ring on at the end of the block."""

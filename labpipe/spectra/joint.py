@@ -32,7 +32,7 @@ from labpipe.records.response import Blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
-from labpipe.spectra.random import change_of_random, joined_spectra, welch_average
+from labpipe.spectra.random import blocks_of, change_of_random, joined_spectra, welch_average
 from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
@@ -76,10 +76,7 @@ def _inverse(forces: ComplexArray) -> ComplexArray:
 
 
 def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> ComplexArray:
-    """G of every line by a straight line through its neighbours, without itself.
-
-    Its own where these are too few.
-    """
+    """G of every line by a straight line through its neighbours, its own where these are too few."""
     flat = matrix.reshape(frequency.size, -1)
     count, first, second = (np.zeros(frequency.size) for _ in range(3))
     total, moment = np.zeros_like(flat), np.zeros_like(flat)
@@ -149,7 +146,6 @@ def joint_estimate(
 
 
 def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
-    """Signal over noise of the combination of forces that the references move least, (n_line,)."""
     moved = forces @ hermitian(forces)
     white = np.linalg.inv(np.linalg.cholesky(moved + noise + np.finfo(float).tiny * np.eye(forces.shape[1])))
     share = np.clip(np.linalg.eigvalsh(white @ moved @ hermitian(white))[:, 0], 0.0, 1.0)
@@ -167,6 +163,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     halved = [welch_average(source, settings) for source in sources]
     spectra = [spectrum for spectrum, _ in halved]
     chosen, n = lines_left(spectra[0].frequency, settings), len(references)
+    frequency = spectra[0].frequency[chosen]
     averages = sum(spectrum.averages for spectrum in spectra)
     if averages <= n + 2:
         hint = "record longer, or shorten `block`"
@@ -174,8 +171,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         raise DataError(what, hint=hint)
     matrix = joined_spectra(spectra, whole)[chosen]
     estimate = joint_estimate(matrix, references, n_input, averages)
-    findings = _strength_findings(estimate, spectra[0].frequency[chosen], settings, layout)
-    frequency = spectra[0].frequency[chosen]
+    findings = _strength_findings(estimate, frequency, settings, layout)
     covariance = covariance_by_neighbours(
         frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP
     )
@@ -184,8 +180,6 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     def response_of(part: ComplexArray) -> ComplexArray:
         return joint_estimate(part, references, n_input, averages / 2).matrix
 
-    assert settings.block is not None
-    n_block = sum(spectrum.n_block for spectrum in spectra)
     return Parts(
         frequency=frequency,
         matrix=estimate.matrix,
@@ -194,14 +188,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         dof=averages - n,
         findings=(*findings, open_loop_note(frequency, estimate.matrix, covariance, open_loop)),
         line_correlation=spectra[0].line_correlation,
-        blocks=Blocks(
-            settings.block,
-            settings.window,
-            settings.overlap,
-            n_block,
-            ESTIMATOR,
-            derivatives=layout.derivatives,
-        ),
+        blocks=blocks_of(spectra, settings, ESTIMATOR, layout.derivatives),
         change=change_of_random(halved, whole, chosen, response_of, n + 2),
         open_loop=open_loop,
     )

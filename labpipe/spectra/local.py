@@ -91,9 +91,7 @@ def _pieces(
 def _windows(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Of the lines around every line (n_line, n_block, width, n): the forces times powers of the distance,
-    and the responses; and an orthonormal basis of those powers (width, degree + 1).
-    """
+    """Around every line forces times powers of the distance, responses, a basis of those powers."""
     powers = (np.arange(-half_width, half_width + 1) / half_width)[:, None] ** np.arange(degree + 1)
     u, y = (
         np.lib.stride_tricks.sliding_window_view(s, 2 * half_width + 1, axis=1).transpose(1, 0, 3, 2)
@@ -106,9 +104,7 @@ def _windows(
 def _window_fits(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, ComplexArray]:
-    """Matrix, covariance, multiple coherence, condition, and weights (n_line, n_input, n_block, 2 n + 1) of
-    the noise of every line.
-    """
+    """Matrix, covariance, coherence, condition, weights (n_line, n_input, n_block, 2 n + 1)."""
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
     columns, y, smooth = _windows(forces, responses, degree, half_width)
@@ -141,16 +137,12 @@ def _window_fits(
 
 
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
-    """Columns (n_line, n_block, width, n) without what the leakage's polynomials (width, degree + 1)
-    explain.
-    """
+    """Columns (n_line, n_block, width, n) without what the leakage's polynomials explain."""
     return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
 
 
 def _correlation(weights: ComplexArray) -> FloatArray:
-    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: the noise of the lines that both windows
-    hold, averaged over the lines.
-    """
+    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: of the noise that both windows hold."""
     width = weights.shape[3]
     size = np.sqrt(np.sum(np.abs(weights) ** 2, axis=(2, 3)))
     unit = weights / np.where(size > 0, size, 1.0)[:, :, None, None]
@@ -210,9 +202,7 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
 def _around_lines(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray]:
-    """Sums of the residual's products (n_line, n_output, n_output), leakage, spread and the residual's power
-    (n_line, n_block, n_output).
-    """
+    """Sums of the residual's products, leakage, spread, power left (n_line, n_block, n_output)."""
     n_output = responses.shape[2]
     of_forces, y, smooth = _windows(forces, responses, degree, half_width)
     offsets = np.arange(-half_width, half_width + 1) / half_width
@@ -233,12 +223,7 @@ def _around_lines(
 def _solve(
     columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Least squares of *y* (n_line, n_block, width) by *columns* (n_line, n_block, width, n) and polynomials
-    *smooth* (width, degree + 1).
-
-    Gives residual (n_line, n_block, width), and leakage (n_line, n_block) in the middle of the window with
-    its variance over the noise's.
-    """
+    """Residual of *y* (n_line, n_block, width), leakage in the *middle*, its variance over the noise's."""
     n_line, n_block, width, n = columns.shape
     scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2), keepdims=True))
     columns = columns / np.where(scale > 0, scale, 1.0)
@@ -255,9 +240,6 @@ def _solve(
     )
     return residual[..., 0], of_y - (of_columns @ factors)[..., 0], spread
 
-
-# Recordings of a random excitation -> FRF matrix by the local polynomial method, with the covariance from
-# the local residual.
 
 # Degrees of freedom of the noise of a line that the half width is chosen for, and least that is accepted.
 USUAL_DOF, LEAST_DOF = 8, 2
@@ -331,9 +313,7 @@ def usual_half_width(n_block: int, n_input: int, degree: int) -> int:
 
 
 def _spectra(source: SampleSource, block: float) -> ComplexArray:
-    """DFT of all whole blocks, (n_block, n_line, n_channel), lines from the first above 0 Hz to the last
-    below half the rate.
-    """
+    """DFT of all whole blocks, (n_block, n_line, n_channel), above 0 Hz and below half the rate."""
     n_sample = block_samples(source, block)
     samples = np.concatenate(list(checked_blocks(source)))
     whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])

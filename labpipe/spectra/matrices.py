@@ -124,12 +124,7 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
 
 
 def _eliminate(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Columns of all rows as elimination leaves them, and those over their pivots, both (n, n_first, n_line)
-    [any unit].
-
-    *first* (n_line, n, n_first): the first columns of Hermitian matrices, of which what lies below the
-    diagonal is read.
-    """
+    """Columns of all rows as elimination leaves them, and those over their pivots, (n, n_first, n_line)."""
     columns = np.array(first.transpose(1, 2, 0), order="C")
     factors = np.zeros_like(columns)
     for k in range(columns.shape[1]):

@@ -147,9 +147,7 @@ def _of_sensor_places(
     name: str,
     conditions: dict[str, Any] | None,
 ) -> FrequencyResponse:
-    """The response of recordings between which the sensors moved: one for each of their places, joined to one
-    matrix. *counts*: of their hits.
-    """
+    """The responses for each place of the sensors, joined to one matrix; *counts*: of their hits."""
     places: dict[tuple[Any, ...], list[int]] = {}
     for number, source in enumerate(sources):
         place = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "output")
@@ -238,10 +236,7 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
 
 
 def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
-    """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input).
-
-    As it is where that is one.
-    """
+    """The covariance of elements times *factor* (n_frequency, n_output, n_input)."""
     if covariance is None or np.all(factor == 1):
         return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
     flat = factor.reshape(factor.shape[0], -1)
@@ -254,9 +249,7 @@ def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovari
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:
-    """Channels of the outputs coherent with the forces: noise alone does not show whether an anti-alias
-    filter was used.
-    """
+    """Outputs coherent with the forces: noise does not tell of an anti-alias filter."""
     n_output = len(layout.outputs)
     if parts.multiple_coherence is not None:
         coherent = np.median(parts.multiple_coherence, axis=0) > EXPLAINED

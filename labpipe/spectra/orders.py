@@ -58,10 +58,6 @@ def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
     return tuple(plane for plane in planes if abs(np.linalg.det(plane.directions)) >= SMALLEST_ANGLE)
 
 
-# Order tracking: amplitude and phase of an order of the shaft speed per segment of a run, forward and
-# backward.
-
-
 @dataclass(frozen=True, kw_only=True)
 class OrderTrack:
     """One order of the outputs: x = Re X exp(j order theta), theta the shaft angle from the tacho pulse.
@@ -165,9 +161,7 @@ Segment = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> Iterator[Segment]:
-    """Times (n,) [s], angles (n,) [rad] and samples (n, n_channel) [SI] of consecutive segments of whole
-    revolutions.
-    """
+    """Times [s], angles [rad] and samples (n, n_channel) of consecutive segments of whole revolutions."""
     rest, start = np.empty((0, len(source.channels))), 0
     for block in checked_blocks(source):
         samples = np.concatenate([rest, block])
@@ -185,9 +179,7 @@ def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> It
 
 
 def _total_motion(samples: FloatArray, planes: tuple[Plane, ...]) -> tuple[FloatArray, FloatArray]:
-    """Half the peak-to-peak value of every output (n_output,), and the largest radius of every plane's orbit
-    (n_plane,).
-    """
+    """Half the peak-to-peak value of every output, and the largest radius of every plane's orbit."""
     low, high = samples.min(axis=0), samples.max(axis=0)
     centred = samples - (low + high) / 2
     radii = [
@@ -218,8 +210,6 @@ def _fit(
     row = int(np.searchsorted(orders, order))
     return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size, solution[0]
 
-
-# Waterfall (cascade) spectra of a run, block by block.
 
 MOST_BLOCKS = 40
 

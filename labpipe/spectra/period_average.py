@@ -200,9 +200,7 @@ class Differences:
         return unsettled
 
     def _falling(self, logs: FloatArray) -> BoolArray:
-        """Whether the first of *logs* (n_difference, n_group, n_channel) [1] is far above the later ones, or
-        all fall evenly.
-        """
+        """Whether the first of *logs* (n_difference, n_group, n_channel) is far above others, or all fall."""
         n, half = len(logs), len(logs) - len(logs) // 2
         scatter = EXPECTED_DOF / self._sizes[:, None]
         late = logs[half:]
@@ -242,9 +240,6 @@ def settling_finding(
         "longer before the record begins"
     )
     return (Finding("not-settled", what),)
-
-
-# The average of whole periods.
 
 
 class PeriodAverage:
@@ -366,11 +361,7 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
 
 
 def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:
-    """Lines whose noise power (n_line, n_channel) equals that of their neighbours, by repeated F-tests.
-
-    A strong line hides weaker ones beside it (leakage of a shaft-speed line, for example), so the test is
-    repeated without the outliers.
-    """
+    """Lines with the noise of their neighbours, by F-tests without outliers, which hide weaker ones."""
     broadband = np.ones(power.shape[0], bool)
     while True:
         neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
@@ -384,10 +375,7 @@ def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArra
 
 
 def _neighbourhood_sum(values: NDArray[Any], half_width: int, centre: bool) -> NDArray[Any]:
-    """Sum over k-h ... k+h along axis 0, truncated at the ends, with or without line k itself (*centre*).
-
-    Term by term: differences of running sums would lose small noise behind one huge line.
-    """
+    """Sum over k-h ... k+h, term by term: running sums would lose small noise behind one huge line."""
     total = values.copy() if centre else np.zeros_like(values)
     for shift in range(1, min(half_width, values.shape[0] - 1) + 1):
         total[shift:] += values[:-shift]

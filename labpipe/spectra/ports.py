@@ -257,9 +257,6 @@ def without_short(
     return list(itertools.compress(sources, counts)), tuple(left_out(source, why) for source in short)
 
 
-# The result of one excitation's evaluation, common to periodic, random, impact, stepped-sine and sweep
-# excitation.
-
 # Share of lines with low signal-to-noise ratio above which a warning is given.
 POOR_SHARE = 0.1
 # Share of a response's power that the forces explain.
@@ -330,8 +327,6 @@ def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) 
     )
 
 
-# Responses measured one after the other as one FRF matrix.
-
 # Relative tolerance between the frequency axes, which files print with six digits.
 SAME_AXIS = 1e-5
 # What a response has for each element beside H.
@@ -384,7 +379,7 @@ Place = tuple[IntArray, list[int]]
 def _place(
     responses: Sequence[FrequencyResponse], name: str, places: Sequence[Place], shape: tuple[int, int]
 ) -> Any:
-    """An array by output and input, its last two dimensions, of all responses; None where one has none."""
+    """An array by output and input of all responses; None where one has none."""
     parts = [getattr(response, name) for response in responses]
     if any(part is None for part in parts):
         return None
@@ -397,9 +392,7 @@ def _place(
 def _covariance(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> StoredCovariance:
-    """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are
-    alike; None where one has none.
-    """
+    """Covariance of all elements, a block for every response where they are alike."""
     covariances = [
         covariance for covariance in (response.covariance for response in responses) if covariance is not None
     ]

@@ -121,9 +121,6 @@ def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
         )
 
 
-# Ordinary, multiple and partial coherence: the share of an output's power that is linear in the forces.
-
-
 def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """gamma^2 = |S_yu|^2 / (S_yy S_uu) per output and force, (n_frequency, n_output, n_input) [1].
 
@@ -168,13 +165,11 @@ def partial_coherence(
 
 
 def _explained_power(h1: ComplexArray, s_yu: ComplexArray) -> FloatArray:
-    """The power of every output that the forces explain, the diagonal of H1 S_uy, (n_frequency, n_output)."""
     explained: FloatArray = np.sum(h1.real * s_yu.real + h1.imag * s_yu.imag, axis=2)
     return explained
 
 
 def _square(values: ComplexArray) -> FloatArray:
-    """|z|^2 without the root that abs takes."""
     squared: FloatArray = values.real**2 + values.imag**2
     return squared
 

@@ -106,7 +106,7 @@ def responses_as_instruments(response: ComplexArray, power: FloatArray) -> Compl
 
 
 def _chosen_channels(response: ComplexArray, first: int) -> ComplexArray:
-    """W = [0 I 0], the same at every line and for every output."""
+    """W = [0 I 0] at every line and for every output."""
     n_frequency, n_output, n_input = response.shape
     chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
     return np.broadcast_to(chosen, (n_frequency, 1, *chosen.shape))
@@ -144,8 +144,6 @@ INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
     "H2": responses_as_instruments,
     "Hv": adjusted_forces_as_instruments,
 }
-
-# The first and the second half of a record: what changed between them drifts, or has not settled.
 
 # A record of which the spectra of the whole and of its first half are known; None where that is too short. Of
 # the half the columns of the forces may be all there is.
@@ -187,11 +185,19 @@ def _shares(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArra
     return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
 
-def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
-    """The *matrix* of all channels, or of all channels with the acting forces, in the order of the layout.
+def blocks_of(
+    spectra: Sequence[CrossSpectra], settings: FrfSettings, estimator: str, derivatives: int = 0
+) -> Blocks:
+    """The blocks averaged to *spectra* by an *estimator*, *derivatives* as of the layout."""
+    assert settings.block is not None
+    number = sum(spectrum.n_block for spectrum in spectra)
+    return Blocks(
+        settings.block, settings.window, settings.overlap, number, estimator, derivatives=derivatives
+    )
 
-    Zero for an absent force.
-    """
+
+def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
+    """The *matrix* of all channels, or with the acting forces, in the layout's order; 0 for an absent one."""
     if matrix.shape[1] == matrix.shape[2]:
         return layout.padded(recording, matrix, 2)
     rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
@@ -201,16 +207,6 @@ def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
     padded = np.zeros((*rows.shape[:2], acting.size), np.complex128)
     padded[:, :, acting] = rows
     return padded
-
-
-def acting_forces(layout: Layout, recording: int, estimator: str) -> list[int] | None:
-    """The channels of the forces in a recording, whose columns are all that H1 needs of a half.
-
-    None for another *estimator*.
-    """
-    return (
-        [column for column in layout.input_columns[recording] if column >= 0] if estimator == "H1" else None
-    )
 
 
 def change_of_random(
@@ -260,17 +256,6 @@ def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], Compl
     return response_of
 
 
-def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count: int) -> ComplexArray:
-    """Mean (n_line, n_channel) [unit of the channel] of *count* values of that *mean* without *part_count*
-    values of the mean *part*.
-    """
-    rest: ComplexArray = (mean * count - part * part_count) / (count - part_count)
-    return rest
-
-
-# Recordings of a random excitation -> FRF matrix by Welch's averages, with coherence and covariance.
-
-
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings, or by local polynomials.
 
@@ -278,21 +263,16 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     """
     if settings.local == "polynomial":
         return local_parts(sources, settings, layout)
+    # The columns of the acting forces are all that H1 needs of a half.
+    of_half = [
+        [column for column in columns if column >= 0] if settings.estimator == "H1" else None
+        for columns in layout.input_columns
+    ]
     halved = [
-        welch_average(source, settings, acting_forces(layout, number, settings.estimator))
-        for number, source in enumerate(sources)
+        welch_average(source, settings, columns) for source, columns in zip(sources, of_half, strict=True)
     ]
     spectra = [whole for whole, _ in halved]
-    assert settings.block is not None
-    n_block = sum(spectrum.n_block for spectrum in spectra)
-    blocks = Blocks(
-        settings.block,
-        settings.window,
-        settings.overlap,
-        n_block,
-        settings.estimator,
-        derivatives=layout.derivatives,
-    )
+    blocks = blocks_of(spectra, settings, settings.estimator, layout.derivatives)
     parts = parts_of_spectra(spectra, settings, layout)
     n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
     change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
@@ -438,9 +418,7 @@ def welch_average(
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros in the rows of the other channels, and in their columns where those of all are
-    there.
-    """
+    """The spectra with zeros for the other channels."""
     if len(columns) == n_channel:
         return spectra
     n_line, _, n_column = spectra.matrix.shape
@@ -505,7 +483,6 @@ def _sum(
 
 
 def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
-    """Averages (n_input,) [1] of the recordings of each force."""
     acting = np.array(layout.input_columns) >= 0
     return np.asarray(np.array([spectrum.averages for spectrum in spectra]) @ acting)
 

@@ -24,7 +24,7 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.feedback import feedback_of_drives
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
-from labpipe.spectra.random import block_average
+from labpipe.spectra.random import block_average, blocks_of
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
@@ -165,13 +165,7 @@ def random_lines(
         runs=drives,
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
-        blocks=Blocks(
-            settings.block,
-            settings.window,
-            settings.overlap,
-            sum(spectrum.n_block for spectrum in spectra),
-            "H1",
-        ),
+        blocks=blocks_of(spectra, settings, "H1"),
         findings=(*findings, *_unexplained_findings(s_zz, residual, layout), *fed_back),
         weak=weak,
     )

@@ -166,9 +166,7 @@ def settle_time(courses: Sequence[Course]) -> float:
 
 
 def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean time [s] in each bin that is not empty, excess [1] as a sum over dwells and channels, and its
-    standard error under noise.
-    """
+    """Mean time [s], excess over dwells and channels, and its error under noise, of each bin."""
     total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     for course in courses:
@@ -188,10 +186,7 @@ def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray
 
 
 def _time_constant(time: FloatArray, excess: FloatArray) -> float:
-    """tau [s] of an excess exp(-2 t / tau), from its largest value to the end of what is seen.
-
-    At least a bin, where it falls faster.
-    """
+    """tau [s] of an excess exp(-2 t / tau) from its largest value on; at least a bin."""
     top = int(np.argmax(excess))
     shortest = float(time[-1]) / max(time.size, 1)
     if time.size - top < 2:
@@ -201,16 +196,11 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
 
 
 def _allowance(course: Course, tau: float) -> float:
-    """Largest (a / s)^2 at the start of what is used that leaves LEFT standard errors in the mean of its n
-    blocks.
-    """
+    """Largest (a / s)^2 at the start that leaves LEFT standard errors in the mean of n blocks."""
     n = course.times.size
     step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)
     return float(LEFT**2 * n / max(1.0, tau / step) ** 2)
 
-
-# Recordings of a stepped sine -> FRF matrix at the frequencies of its dwells, with the covariance from the
-# scatter within each.
 
 # Blocks into which a dwell is cut for its noise: at most, and at least.
 MOST_BLOCKS, LEAST_BLOCKS = 32, 4
@@ -283,9 +273,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
 def _of_frequency(
     frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]
 ) -> ComplexArray:
-    """Covariance (n_line, n, n) that the uncertainty of the frequency leaves: g g^H var(f), g = dH/df
-    (n_line, n).
-    """
+    """Covariance by the uncertainty of the frequency: g g^H var(f), g = dH/df (n_line, n)."""
     flat = matrix.reshape(frequency.size, -1)
     slope = np.zeros(flat.shape, np.complex128)
     if frequency.size > 1:
@@ -295,9 +283,7 @@ def _of_frequency(
 
 
 def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
-    """Noise of the means (n_line, n_channel, n_channel) [unit^2], its density averaged over *half_width*
-    lines to either side.
-    """
+    """Noise of the means, its density averaged over *half_width* lines to either side."""
     duration = np.array([line.duration for line in lines])[:, None, None]
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
@@ -362,10 +348,7 @@ class _Settling:
 
 
 def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
-    """The amplitudes of the dwells that have periods enough, from the step on.
-
-    The first channel is the force that steps.
-    """
+    """Amplitudes from the step on, of dwells with periods enough; first the force that steps."""
     courses = []
     for dwell in dwells:
         part = samples[dwell.start : dwell.stop]
@@ -380,9 +363,7 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
 
 
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """The time after a step [s] from which the force alone is steady: it gives the frequency, the more
-    exactly the longer it is.
-    """
+    """When the force alone is steady [s]: it gives the frequency, the more exactly the longer it is."""
     try:
         return settle_time([course.of(0) for course in courses])
     except DataError:

@@ -95,9 +95,7 @@ def rising_crossings(force: FloatArray) -> FloatArray:
 
 
 def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
-    """Roots [samples] of the straight lines through the samples from *before* to *after* (n,), or between the
-    two of opposite sign if there are no more.
-    """
+    """Roots [samples] of straight lines through the samples from *before* to *after* (n,)."""
     if not before.size:
         return np.empty(0)
     size = after - before + 1
@@ -117,7 +115,7 @@ def _scatter(times: FloatArray) -> float:
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings on one straight line each, period by period."""
+    """Ranges (first, end) of crossings on one straight line each."""
     pieces, first = [], 0
     line = _Line()
     for number, time in enumerate(times):
@@ -154,9 +152,7 @@ class _Line:
 
 
 def _refine(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The *pieces* with the crossing from which the next one's line fits better: a step shows only some
-    periods after it.
-    """
+    """The *pieces* up to where the next one's line fits better: a step shows periods later."""
     long = [piece for piece in pieces if piece[1] - piece[0] > LEAST_PERIODS]
     ends = [list(piece) for piece in long]
     for number in range(len(long) - 1):
@@ -193,9 +189,6 @@ def loudest(samples: FloatArray, columns: IntArray) -> int:
     """
     return int(columns[np.argmax(np.var(samples[:, columns], axis=0))])
 
-
-# Sweeps in a force: where its frequency runs steadily up or down, by which law, and where the record is cut
-# between them.
 
 # Fewest periods that count as a sweep, and the least ratio of its highest to its lowest frequency.
 LEAST_SWEPT_PERIODS, LEAST_SPAN = 10, 1.05
@@ -332,9 +325,7 @@ def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
 
 
 def _continue(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
-    """Pieces of crossings (n,) [samples], those together that one sweep runs through: where a structure takes
-    its shaker along the force all but vanishes, and the crossings are lost.
-    """
+    """Pieces of crossings of one sweep together: where its force all but vanishes crossings are lost."""
     runs: list[list[FloatArray]] = []
     for piece in pieces:
         # A few crossings near a resonance may belong to nothing, and what comes behind them to the sweep.
@@ -352,9 +343,7 @@ def _continue(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
 
 
 def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
-    """Whether a piece of crossings (n,) [samples] lies on the law of the run of pieces ahead of it, in the
-    same direction, after a gap that is shorter than both together.
-    """
+    """Whether a piece lies on the law of the run ahead of it, the same way, after a gap shorter than both."""
     (before, low), (after, high) = _course(run), _course([piece])
     further = float(np.median(high[:AT_END]) / np.median(low[-AT_END:]))
     further = further if np.median(low[-AT_END:]) > np.median(low[:AT_END]) else 1 / further
@@ -370,17 +359,13 @@ def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
 
 
 def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) [samples] and frequencies (n,) [periods per sample] between neighbouring crossings of the
-    pieces of a run.
-    """
+    """Times [samples] and frequencies [periods per sample] between neighbouring crossings of a run."""
     middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
     return middle, np.concatenate([1 / np.diff(times) for times in run])
 
 
 def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSweep]:
-    """The sweeps, each as far to either side as the *force* (n_sample,) [N] still follows its law: at an end
-    it may be too small for clear crossings.
-    """
+    """The sweeps as far as the *force* follows their law, beyond its last clear crossings."""
     edges = [0, *(sweep.stop for sweep in sweeps)], [*(sweep.start for sweep in sweeps), force.size]
     return [
         _extend(_extend(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
@@ -389,9 +374,7 @@ def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSwee
 
 
 def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:
-    """The sweep up to *edge* [samples] or to where less than half the power of *force* lies at its frequency,
-    after it (*sign* 1) or before it (-1), in steps of some periods.
-    """
+    """The sweep towards *edge* [samples] in steps of some periods, after it (*sign* 1) or before it (-1)."""
     end, frequency = (sweep.stop, sweep.last) if sign > 0 else (sweep.start, sweep.first)
     rises = (1.0 if sweep.last > sweep.first else -1.0) * sign
     while True:
@@ -409,9 +392,7 @@ def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> Found
 
 
 def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
-    """Whether a *window* (n,) [N] has its power between two frequencies [periods per sample], and a level
-    that is not noise beside the *level* of the sweep.
-    """
+    """Whether a *window* has its power between two frequencies, and more than noise beside the *level*."""
     power = np.abs(np.fft.rfft(window * np.hanning(window.size))) ** 2
     frequency = np.fft.rfftfreq(window.size)
     near = (frequency > min(low, high) / REACH_SPAN) & (frequency < max(low, high) * REACH_SPAN)
@@ -421,7 +402,7 @@ def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
 
 
 def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
-    """The sweep with zero crossings at the pieces (n,) [samples] of a *run*, of a *force* (n_sample,) [N]."""
+    """The sweep with zero crossings at the pieces of a *run*."""
     times = np.concatenate(run)
     middle, frequency = _course(run)
     lines = {law: np.polyfit(middle, there(frequency), 1) for law, (there, _) in LAWS.items()}

@@ -181,9 +181,7 @@ def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
 
 
 def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sample: int) -> bool:
-    """Whether every response moves no more than noise at the beginning and the end of every block, so that
-    there is no leakage.
-    """
+    """Whether every response moves no more than noise at both ends of every block: no leakage."""
     noise = np.sqrt(np.einsum("loo->lo", local.noise).real.mean(axis=0) / n_sample)
     for number, run in enumerate(swept):
         present = [(at, column) for at, column in enumerate(layout.output_columns[number]) if column >= 0]
@@ -239,9 +237,7 @@ def _in_band(
 
 
 def _driven_lines(forces: ComplexArray) -> BoolArray:
-    """Lines (n_line,) at which every force of (n_block, n_line, n_input) [N] has its usual level of the lines
-    around, or not much less.
-    """
+    """Lines at which every force has its usual level of the lines around, or not much less."""
 
     level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
     usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
@@ -291,9 +287,7 @@ def _without_leakage(
 
 
 def _hidden(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatArray:
-    """Power (n_line, n_output) [unit^2] of the leakage of lines that do not tell it: the share that it has of
-    the response, beyond its noise, on the nearest lines that do.
-    """
+    """Power of the leakage of lines that do not tell it: its share of the response on the nearest that do."""
     local, numbers = spectra.local, np.flatnonzero(is_determined)
     response = np.mean(np.abs(spectra.blocks[:, :, n_input:]) ** 2, axis=0)
     noise = np.einsum("loo->lo", local.noise).real[:, None] * local.spread
@@ -388,9 +382,7 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
 
 
 def _levels(spectra: _Spectra, n_input: int) -> FloatArray:
-    """Noise of the responses in every block over that of all (n_output, n_block) [1], as of all in which
-    one force is at its strongest.
-    """
+    """Noise in each block over that of all (n_output, n_block), alike where one force is strongest."""
     local, power = spectra.local, np.mean(np.abs(spectra.blocks[:, :, :n_input]) ** 2, axis=1)
     strongest = np.argmax(power / np.max(power, axis=0), axis=1)
     blocks_of = np.eye(n_input)[strongest]
@@ -416,9 +408,7 @@ def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[Com
 def _bursts(
     spectra: _Spectra, swept: Sequence[_Swept], layout: Layout, n_sample: int, rate: float
 ) -> tuple[Finding, ...]:
-    """A warning where most of what one force does not explain in a response comes in one short part of a
-    sweep, such as a contact while it passes a resonance: other resonances ring then, and are masked.
-    """
+    """A warning where most of what one force leaves comes in one short part of a sweep, as from a contact."""
     force, responses = spectra.blocks[:, :, 0], spectra.blocks[:, :, 1:]
     noise = spectra.blocks.shape[0] * np.einsum("loo->o", spectra.local.noise).real
     window = 2 * spectra.local.width + 1
@@ -459,9 +449,7 @@ def _bursts(
 
 
 def _lines_averaged(width: int, half_width: int) -> float:
-    """Independent lines in the average over *half_width* to either side of values that are each of *width*
-    lines.
-    """
+    """Independent lines among 2 *half_width* + 1 values that are each of *width* lines."""
     weights = np.convolve(np.ones(width), np.ones(2 * half_width + 1))
     return float(np.sum(weights) ** 2 / np.sum(weights**2))
 

@@ -133,9 +133,7 @@ def shaft_turns(
 
 
 def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
-    """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic,
-    n_channel).
-    """
+    """Least squares of x = c + Re sum_h X_h exp(j h theta), (n_harmonic, n_channel)."""
     n = 2 * n_harmonic + 1
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
     start = 0
@@ -150,9 +148,7 @@ def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Co
 
 
 def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
-    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every output weighted with
-    its own power.
-    """
+    """The speed [Hz] near *speed* at which 1x keeps its phase, outputs weighted by their power."""
     stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
     window = hann(stretch)
     outputs = columns_of(source.channels, "output")
@@ -308,7 +304,6 @@ def _fit(
 
 
 def _periods(source: SampleSource, n_sample: int) -> Iterator[FloatArray]:
-    """The whole periods of a recording, (n_sample, n_channel) [SI]."""
     rest: FloatArray = np.empty((0, len(source.channels)))
     for block in checked_blocks(source):
         samples = np.concatenate([rest, block]) if rest.size else block
@@ -349,8 +344,6 @@ def _refined_between(
             best, most = trial, likelihood
     return best
 
-
-# Recordings without what is synchronous with their shaft, where the settings name it.
 
 # A shaft turns steadily where its fastest is at most this many times its slowest; pulses of noise at rest are
 # not steady.

@@ -157,9 +157,8 @@ class PackedProducts(SegmentProducts):
         super().__init__(
             window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size))
         )
-        n_pair, n_line = (n_channel + 1) // 2, len(lines)
+        n_pair, n_line = n_channel // 2, len(lines)
         self._taper = window.astype(np.complex128)
-        # An odd channel's partner stays zero.
         self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
         # Products with the conjugates of the pairs up to the same one, of positive and of negative
         # frequencies in rising order.
@@ -168,13 +167,7 @@ class PackedProducts(SegmentProducts):
         self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        even = self._n_channel // 2 * 2
-        if segments[:1].flags.c_contiguous and self._n_channel == even:
-            np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
-            return
-        for channel in range(self._n_channel):
-            half = self._tapered.imag if channel % 2 else self._tapered.real
-            np.multiply(segments[:, :, channel], self._taper.real, out=half[place, channel // 2])
+        np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
         transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True, workers=threads())
@@ -182,8 +175,7 @@ class PackedProducts(SegmentProducts):
         positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
         negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
         for number, trend in enumerate(self._trend):
-            weight = coefficients[:, number, 0::2, None].astype(np.complex128)
-            weight[:, : self._n_channel // 2] += 1j * coefficients[:, number, 1::2, None]
+            weight = coefficients[:, number, 0::2, None] + 1j * coefficients[:, number, 1::2, None]
             positive[:, :, : trend.size] -= weight * trend
             negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
         n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
@@ -199,13 +191,11 @@ class PackedProducts(SegmentProducts):
                     _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
 
         by_turns(add, range(0, n_line, n_chunk), threads())
-        if self._n_channel % 2:
-            self._tapered[:n_segment, -1].imag = 0.0
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
         n = self._n_channel
-        matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
+        matrix = np.empty((n, n, len(self._lines)), np.complex128)
         for k in range(len(self._positive)):
             for m in range(k + 1):
                 positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
@@ -216,7 +206,7 @@ class PackedProducts(SegmentProducts):
                 matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
                 matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
                 matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
-        return _hermitian_lines(matrix[:n, :n], columns, scale)
+        return _hermitian_lines(matrix, columns, scale)
 
 
 class RowProducts(SegmentProducts):
@@ -300,9 +290,7 @@ class RowProducts(SegmentProducts):
 
 
 def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
-    """Add to *sums* (n_line, n, n) the products sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), as many
-    lines at a time as stay in the cache.
-    """
+    """Add sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), lines that stay in the cache together."""
     n_line, n = sums.shape[:2]
     n_chunk = max(1, CACHED_NUMBERS // (n * (n + 2 * amplitude.shape[1])))
 
@@ -319,20 +307,13 @@ def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1
 def _add_products(
     left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray
 ) -> None:
-    """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*.
-
-    Left, right (n_pair, n_line).
-    """
+    """Add to *sums* of pair k left[k] times the first n_other rows of *right*, (n_pair, n_line)."""
     for row, into in zip(left, sums, strict=True):
         into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
 
 
 def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their
-    *columns*.
-
-    Lines stay last in memory.
-    """
+    """Matrices (n, n, n_line) with a right lower triangle as (n_line, n, n), lines last in memory."""
     for row in range(matrix.shape[0]):
         matrix[row, row].imag = 0.0
         for column in range(row):
@@ -422,10 +403,7 @@ class WelchAverage:
         self._rest = [block[consumed:].copy()] if consumed >= 0 else [seam[n_rest + consumed :].copy()]
 
     def _add_segments(self, samples: FloatArray, most: int) -> int:
-        """Taper all complete segments of samples (n, n_channel), at most *most*.
-
-        Returns where the next one begins.
-        """
+        """Taper complete segments of samples, at most *most*; returns where the next one begins."""
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
         if n_segment:
@@ -490,9 +468,7 @@ def trend_basis(detrend: str, n_sample: int) -> FloatArray:
 
 
 def _significant_lines(trend: ComplexArray) -> ComplexArray:
-    """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude
-    is sqrt(n_sample).
-    """
+    """The first lines (n_row, n_line) up to the last one above rounding."""
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
     return trend[:, : above[-1] + 1 if above.size else 0]

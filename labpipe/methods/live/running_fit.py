@@ -475,9 +475,8 @@ class HitCutter(_Cutter):
     def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
         self._number += 1
         raw = np.nan_to_num(samples)
-        hit = judged_hit(self._number, start, raw, trigger, self._force, self._impact, self._rest)
-        what, _, column = hit.fault.rpartition(" ")
-        fault = f"{what} '{self.channels[int(column) - 1].name}'" if column.isdigit() else hit.fault
+        hit = judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
+        fault = hit.fault
         size = float(np.max(np.abs(hit.samples[:, self._force])))
         usual = float(np.median(self._sizes)) if self._sizes else 0.0
         if not fault and size < WEAK * usual:
