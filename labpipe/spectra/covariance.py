@@ -159,6 +159,18 @@ def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
     return np.where(alike | ~known, 1.0, np.maximum(level, 0.0))
 
 
+def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: FloatArray) -> ComplexArray:
+    """cov(H_oi, H_pj) = R[o, p] sum_e sqrt(g_oe g_pe) G_e[i, j] (n_line, n, n) [unit^2 of H].
+
+    noise R (n_line, n_output, n_output) [unit^2]; spread G (n_line, n_part, n_input, n_input) [1/N^2] and
+    levels g (n_output, n_part) [1] of parts of the record, see noise_levels.
+    """
+    size = np.sqrt(levels)
+    whole = np.einsum("lop,oe,pe,leij->loipj", noise, size, size, spread, optimize=True)
+    n = noise.shape[1] * spread.shape[2]
+    return without_rounding(whole.reshape(-1, n, n))
+
+
 def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
     """a + b |H|^2 of a residual's *variance* where b is SIGNIFICANT, else 1; |H|^2 = *power*."""
 

@@ -17,13 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
 from labpipe.spectra.bands import block_samples
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.covariance import covariance_of_parts, noise_levels
+from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.settings import FrfSettings
 
@@ -60,21 +61,31 @@ def freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
 
 
 def local_polynomials(
-    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
+    forces: ComplexArray,
+    responses: ComplexArray,
+    degree: int,
+    half_width: int,
+    recordings: IntArray | None = None,
 ) -> LocalFit:
     """Y(k + r) = (sum_s G_s r^s) U(k + r) + sum_s T_s r^s + V for r = -n ... n in every block: G common,
     leakage T of each block alone.
 
     forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without
     window; the first and the last half_width lines have no window of their own and are left out. H(k) = G_0;
-    its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation
-    (frf-local-polynomial).
+    its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual, at the level
+    that it has in each of the *recordings* (n_block,), numbers from 0 on. Equation (frf-local-polynomial).
     """
-    parts = [_window_fits(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
-    matrix, covariance, coherence, condition, weights = (
+    recorded = np.zeros(len(forces), np.int64) if recordings is None else recordings
+    blocks_of = np.eye(recorded.max() + 1)[recorded]
+    parts = [
+        _window_fits(u, y, degree, half_width, blocks_of) for u, y in _pieces(forces, responses, half_width)
+    ]
+    matrix, noise, spread, left, coherence, condition, weights = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     dof = freedom(forces.shape[0], forces.shape[2], degree, half_width)
+    levels = noise_levels(left, blocks_of.mean(axis=0) * dof / (2 * half_width + 1))
+    covariance = covariance_of_parts(noise, spread, levels)
     return LocalFit(matrix, covariance, coherence, _correlation(weights[:CORRELATED]), condition, dof)
 
 
@@ -102,9 +113,11 @@ def _windows(
 
 
 def _window_fits(
-    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
-) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, ComplexArray]:
-    """Matrix, covariance, coherence, condition, weights (n_line, n_input, n_block, 2 n + 1)."""
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int, blocks_of: FloatArray
+) -> tuple[ComplexArray, ...]:
+    """Matrix, noise, spread and power left by recording, coherence, condition, weights (n_line, n_input,
+    n_block, 2 n + 1).
+    """
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
     columns, y, smooth = _windows(forces, responses, degree, half_width)
@@ -121,19 +134,19 @@ def _window_fits(
     gain = gain[:, :n_input] / scale.swapaxes(1, 2)[:, :n_input]
     dof = freedom(n_block, n_input, degree, half_width)
     noise = (residual.swapaxes(1, 2) @ residual.conj()) / dof
-    spread = gain @ hermitian(gain)
-    n = n_input * y.shape[2]
-    covariance = (noise[:, :, None, :, None] * spread[:, None, :, None, :]).reshape(n_line, n, n)
+    weights = gain.reshape(n_line, n_input, n_block, width)
+    spread = np.einsum("libt,ljbt,be->leij", weights, weights.conj(), blocks_of, optimize=True)
+    by_block = np.sum(np.abs(residual.reshape(n_line, n_block, width, -1)) ** 2, axis=2)
+    by_recording = by_block.swapaxes(1, 2) @ blocks_of
     left, whole = np.sum(np.abs(residual) ** 2, axis=1), np.sum(np.abs(y) ** 2, axis=1)
     coherence = 1 - np.divide(left, whole, out=np.ones_like(left), where=whole > 0)
     matrix = (gain @ y).swapaxes(1, 2)
-    weights = gain.reshape(n_line, n_input, n_block, width)
     # Of a force that is smooth over the lines itself nothing but rounding is left beside the leakage.
     left_over = np.min(
         np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1
     )
     condition = np.maximum(np.linalg.cond(gram), 1 / np.maximum(left_over, 1e-150) ** 2)
-    return matrix, without_rounding(covariance), coherence, condition, weights
+    return matrix, noise, spread, by_recording, coherence, condition, weights
 
 
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
@@ -256,9 +269,8 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     assert settings.block is not None
     rate = sources[0].sample_rate
     n_sample = block_samples(sources[0], settings.block, 8)
-    blocks = np.concatenate(
-        [layout.padded(e, _spectra(source, settings.block), 1) for e, source in enumerate(sources)]
-    )
+    padded = [layout.padded(e, _spectra(source, settings.block), 1) for e, source in enumerate(sources)]
+    blocks, recordings = np.concatenate(padded), np.repeat(np.arange(len(padded)), [len(p) for p in padded])
     n_input = len(layout.inputs)
     half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
     if freedom(blocks.shape[0], n_input, settings.degree, half_width) < LEAST_DOF:
@@ -277,7 +289,7 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     first, last = int(chosen[0]), int(chosen[-1]) + 1
     around = slice(first, last + 2 * half_width)
     fitted = local_polynomials(
-        blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width
+        blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width, recordings
     )
     lines = chosen - first
     if np.any(fitted.condition[lines] > WORST_CONDITION):

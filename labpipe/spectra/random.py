@@ -29,6 +29,7 @@ from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import (
     covariance_of_h1,
+    covariance_of_parts,
     covariance_of_random,
     noise_levels,
     pooled_residual,
@@ -345,12 +346,8 @@ def _by_recordings(
     levels = noise_levels(np.stack(left, axis=2), np.array(averages) - taken)
     if np.all(levels == 1):
         return covariance
-    whole = np.zeros(covariance.shape, np.complex128)
-    for share, size in zip(own, np.sqrt(levels).T, strict=True):
-        inputs = share @ inverse_force / free
-        outputs = covariance.outputs * np.outer(size, size)
-        whole += (outputs[:, :, None, :, None] * inputs.swapaxes(1, 2)[:, None, :, None]).reshape(whole.shape)
-    return without_rounding(whole)
+    spread = np.stack([(share @ covariance.inputs.swapaxes(1, 2)).swapaxes(1, 2) for share in own], axis=1)
+    return covariance_of_parts(covariance.outputs, spread, levels)
 
 
 def _parts(

@@ -18,9 +18,9 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import noise_levels, pooled_residual
+from labpipe.spectra.covariance import covariance_of_parts, noise_levels, pooled_residual
 from labpipe.spectra.local import LEAST_DOF, LocalNoise, local_noise, noise_freedom, usual_half_width
-from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
@@ -359,11 +359,15 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
     if spectra.hidden is not None:
         # As a rule alike in all sweeps: more of them do not average it.
         noise = noise + channels.shape[2] / n_input * spectra.hidden[:, :, None] * np.eye(matrix.shape[1])
-    # What the noise of every block leaves in every element of H.
-    gain = np.sqrt(_levels(spectra, n_input))[:, :, None] * inverse[:, None]
-    gain = gain.swapaxes(2, 3).reshape(inverse.shape[0], -1, inverse.shape[1])
-    by_element = np.repeat(np.repeat(noise, n_input, axis=1), n_input, axis=2)
-    covariance = without_rounding(by_element * (gain @ hermitian(gain)))
+    # Blocks by the force that is at its strongest.
+    size = np.mean(np.abs(forces) ** 2, axis=0)
+    blocks_of = np.eye(n_input)[np.argmax(size / np.max(size, axis=1, keepdims=True), axis=0)]
+    spread = np.einsum("lbi,lbj,be->leij", inverse, inverse.conj(), blocks_of, optimize=True)
+    local = spectra.local
+    levels = noise_levels(
+        local.of_blocks.swapaxes(1, 2) @ blocks_of, blocks_of.mean(axis=0) * local.dof / local.width
+    )
+    covariance = covariance_of_parts(noise, spread, levels)
     power: FloatArray = np.mean(np.abs(responses) ** 2, axis=2)
     noise_power = np.einsum("loo->lo", noise).real
     coherence: FloatArray = np.clip(
@@ -379,15 +383,6 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
         coherence=coherence[:, :, None] if n_input == 1 else None,
         multiple_coherence=coherence,
     )
-
-
-def _levels(spectra: _Spectra, n_input: int) -> FloatArray:
-    """Noise in each block over that of all (n_output, n_block), alike where one force is strongest."""
-    local, power = spectra.local, np.mean(np.abs(spectra.blocks[:, :, :n_input]) ** 2, axis=1)
-    strongest = np.argmax(power / np.max(power, axis=0), axis=1)
-    blocks_of = np.eye(n_input)[strongest]
-    dof = blocks_of.mean(axis=0) * local.dof / local.width
-    return noise_levels(local.of_blocks.swapaxes(1, 2) @ blocks_of, dof)[:, strongest]
 
 
 def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[ComplexArray, float, int]:

@@ -173,3 +173,19 @@ def test_records_that_hold_too_little_are_refused() -> None:
         measure([recording(200)], FrfSettings("random", block="2 s", local="polynomial", half_width=3))
     with pytest.raises(DataError, match="too smooth over the lines"):
         measure([recording(200, np.eye(1, 200, 1)[0])], settings)
+
+
+def test_the_noise_of_a_column_is_that_of_its_own_recording() -> None:
+    """A tenth of the force and of the noise in the second: the relative error of both columns is one. With the
+    noise of both together their variances were one to a hundred.
+    """
+    rng = np.random.default_rng(5)
+    outputs = tuple(Channel(name, "displacement", "output", name) for name in "xy")
+    sources = []
+    for name, level in (("f", 1.0), ("g", 0.1)):
+        force = level * rng.normal(size=(8000, 1))
+        samples = np.hstack([force, force * [2.0, 0.3] + 0.1 * level * rng.normal(size=(8000, 2))])
+        sources.append(Recording((Channel(name, "force", "input", name), *outputs), samples, 1e3, name))
+    settings = FrfSettings("random", block="2 s", local="polynomial", band=(30.0, 300.0))
+    variance = measure(sources, settings).variance.mean(axis=0)
+    np.testing.assert_allclose(variance[:, 1] / variance[:, 0], 1.0, atol=0.15)
