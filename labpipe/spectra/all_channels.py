@@ -23,7 +23,6 @@ from labpipe.errors import DataError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
 from labpipe.spectra.channels import in_time
 from labpipe.spectra.covariance import SAME_ERRORS, SAME_SHARE
@@ -179,8 +178,6 @@ def channel_spectra(
         sources = in_time(sources)
     sources, short = without_short(sources, settings)
     layout = find_channel_layout(sources)
-    bands = masked_bands(sources, settings)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     cleaned, settings, shaft = without_shaft(sources, settings)
     monitors = [AliasingMonitor(source) for source in cleaned]
     lines = EXCITATIONS[settings.excitation](monitors, settings, layout)
@@ -189,8 +186,7 @@ def channel_spectra(
     acting = np.ones((lines.frequency.size, len(sources)), bool) if lines.acting is None else lines.acting
     excited = [lines.frequency[of_run] for of_run in acting.T]
     shaft = (*shaft, *lines_of_shaft(sources, settings, excited))
-    of_lines = (*mask_findings(bands), *shaft, *aliasing, *lines.findings)
-    findings = (*source_findings(monitors), *short, *of_lines)
+    findings = (*source_findings(monitors), *short, *shaft, *aliasing, *lines.findings)
     return ChannelSpectra(
         frequency=lines.frequency,
         vectors=lines.vectors,

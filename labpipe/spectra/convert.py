@@ -131,6 +131,8 @@ def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | 
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
 FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
 FORWARD_BACKWARD = ("f", "b")
+# What is known of single elements, or of single channels, alone.
+OF_ELEMENTS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr", "line_gains")
 # Smallest sine of the angle between two directions that span a plane.
 SMALLEST_ANGLE = 1e-3
 
@@ -154,18 +156,14 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         None if response.covariance is None else without_rounding(turn @ response.covariance @ turn.conj().T)
     )
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
+    nothing: dict[str, Any] = dict.fromkeys(OF_ELEMENTS)
     return dataclasses.replace(
         _with_each(response, lambda values: from_left @ values @ from_right),
         covariance=covariance,
         outputs=ports,
         inputs=ports,
-        coherence=None,
-        multiple_coherence=None,
-        partial_coherence=None,
-        distortion=None,
-        snr=None,
-        line_gains=None,
         snr_channels=(),
+        **nothing,
     )
 
 

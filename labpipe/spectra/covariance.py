@@ -53,7 +53,7 @@ def covariance_of_random(
 
     spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency,
     n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y],
-    see estimators.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side,
+    see random.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side,
     where few averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape

@@ -9,11 +9,9 @@ large. In a loop the noise of U is that of w fed back, so weights by it prefer e
 C_wu brings the bias of an open-loop estimator back, over the number of averages. Therefore G is taken from
 the neighbours of the line, and U as what is most likely if that G is right.
 
-In a loop u = r - C y, y = G u + v the force u holds the disturbance v, so that H1 = S_yu S_uu^-1 goes to (G
-S_r - C* S_v) / (S_r + |C|^2 S_v), to -1 / C without r. Since r knows nothing of v, G = S_yr S_ur^-1 does not
-(Ljung, System Identification, 1999, chapter 13). With w = y - G u and n averages, cov(G_oi, G_pj) = S_ww[o,
-p] (S_ur^-H S_rr S_ur^-1)[j, i] / n. Periodic data need no other average: what the periods share is due to r,
-and the covariance of force and response together holds what v makes of both.
+H1 and G by the reference, S_yr S_ur^-1, are on the page of theory on responses (Ljung, System Identification,
+1999, chapter 13). Periodic data need no other average: what the periods share is due to r, and the covariance
+of force and response together holds what v makes of both.
 """
 
 from __future__ import annotations

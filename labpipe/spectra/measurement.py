@@ -12,7 +12,6 @@ from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, StoredCovariance
-from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
@@ -177,8 +176,6 @@ def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
     layout = find_layout(sources)
-    bands = masked_bands(sources, settings)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
     loop = feedback_of_records(sources, settings, layout) if settings.excitation in BLOCKS else ()
@@ -189,7 +186,7 @@ def _measure(
     parts = (joint_parts if joint else open_loop)(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
-    of_lines = (*mask_findings(bands), *shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
+    of_lines = (*shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
     findings = (*source_findings(sources), *uncertainty_findings(sources), *of_lines)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor

@@ -93,21 +93,8 @@ def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     return np.stack(columns, axis=1)
 
 
-def forces_as_instruments(
-    response: ComplexArray,
-    power: FloatArray,  # noqa: ARG001 (one signature for the table)
-) -> ComplexArray:
-    """z = u, the measured forces, for H1: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
-    return _chosen_channels(response, 0)
-
-
-def responses_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001
-    """z = y, the measured outputs, for H2: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
-    return _chosen_channels(response, response.shape[2])
-
-
 def _chosen_channels(response: ComplexArray, first: int) -> ComplexArray:
-    """W = [0 I 0] at every line and for every output."""
+    """z = u or y, from the channel *first* on: W = [0 I 0] at every line and for every output."""
     n_frequency, n_output, n_input = response.shape
     chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
     return np.broadcast_to(chosen, (n_frequency, 1, *chosen.shape))
@@ -141,8 +128,8 @@ ESTIMATORS: dict[str, Callable[[ComplexArray, ComplexArray, ComplexArray], Compl
     "Hv": hv,
 }
 INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
-    "H1": forces_as_instruments,
-    "H2": responses_as_instruments,
+    "H1": lambda response, _: _chosen_channels(response, 0),
+    "H2": lambda response, _: _chosen_channels(response, response.shape[2]),
     "Hv": adjusted_forces_as_instruments,
 }
 

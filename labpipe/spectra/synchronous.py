@@ -23,6 +23,7 @@ from labpipe.display import plain_text
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
+from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channels import FORCE, READ_SAMPLES, DerivedRecording, checked_blocks, columns_of
 from labpipe.spectra.period_average import samples_per_period
 from labpipe.spectra.ports import ORDER_OF
@@ -354,11 +355,12 @@ def without_shaft(
     sources: Sequence[SampleSource], settings: FrfSettings
 ) -> tuple[list[SampleSource], FrfSettings, tuple[Finding, ...]]:
     """The recordings, each without its synchronous part where `remove` is given, and the settings without the
-    lines that it falls on.
+    lines that it falls on, or that `mask` leaves out.
     """
-    remove = settings.remove
+    remove, masked = settings.remove, masked_bands(sources, settings)
+    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *masked))
     if remove is None:
-        return list(sources), settings, ()
+        return list(sources), settings, mask_findings(masked)
     resting = [at_rest(source, remove) for source in sources]
     findings = [
         note(
@@ -380,7 +382,8 @@ def without_shaft(
             cleaned.append(without.source)
             bands |= dict.fromkeys(without.bands)
             findings.extend(without.findings)
-    return cleaned, dataclasses.replace(settings, exclude=(*settings.exclude, *bands)), tuple(findings)
+    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
+    return cleaned, settings, (*mask_findings(masked), *findings)
 
 
 def lines_of_shaft(

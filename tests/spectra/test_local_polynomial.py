@@ -176,8 +176,8 @@ def test_records_that_hold_too_little_are_refused() -> None:
 
 
 def test_the_noise_of_a_column_is_that_of_its_own_recording() -> None:
-    """A tenth of the force and of the noise in the second: the relative error of both columns is one. With the
-    noise of both together their variances were one to a hundred.
+    """A tenth of the force and of the noise in the second: the relative error of both columns is one. With
+    the noise of both together their variances were one to a hundred.
     """
     rng = np.random.default_rng(5)
     outputs = tuple(Channel(name, "displacement", "output", name) for name in "xy")
