@@ -181,7 +181,7 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
     if settings.reference:
-        check_recorded(settings.reference, [c.name for source in sources for c in source.channels])
+        check_recorded(settings.reference, sources)
         names = settings.reference
     elif len(names) > len(layout.inputs) > 0:
         what = (
@@ -208,12 +208,19 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
     return names
 
 
-def check_recorded(references: Sequence[str], channels: Sequence[str]) -> None:
-    """SettingError for a reference that is none of the recorded *channels*."""
+def check_recorded(references: Sequence[str], sources: Sequence[SampleSource]) -> None:
+    """SettingError for a reference that is not recorded, or is a force or a response: the noise of its sensor
+    would be none.
+    """
+    roles = {channel.name: channel.role for source in sources for channel in source.channels}
     for name in references:
-        if name not in channels:
+        if name not in roles:
             what = f"'{name}' is no channel of the recordings"
-            raise SettingError("reference", what, nearest(name, dict.fromkeys(channels)))
+            raise SettingError("reference", what, nearest(name, dict.fromkeys(roles)))
+        if roles[name] != "reference":
+            part = "force" if roles[name] == "input" else "response"
+            what = f"'{name}' is a {part} of the FRF; the reference is injected into the loop from outside"
+            raise SettingError("reference", what, "record it, and give it role: reference in the rig file")
 
 
 def _welch(
