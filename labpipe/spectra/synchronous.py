@@ -90,7 +90,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         )
     amplitude = _harmonics(source, motion, lines.harmonics)
     if lines.speed is not None:
-        refined = steady(_refine(source, motion, lines.speed), duration)
+        refined = steady(_refined(source, lines.speed), duration)
         better = _harmonics(source, refined, lines.harmonics)
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
@@ -148,9 +148,21 @@ def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Co
     return solution[1 : n_harmonic + 1] + 1j * solution[n_harmonic + 1 :]
 
 
-def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
+def _refined(source: SampleSource, speed: float) -> float:
+    """The speed [Hz] near *speed* by the turn of 1x over stretches, each time over longer ones."""
+    longest = min(READ_SAMPLES, source.n_sample // 2)
+    stretch = max(1, round(STRETCH / speed * source.sample_rate))
+    while True:
+        stretch = min(stretch, longest)
+        speed = _refine(source, speed, stretch)
+        if stretch == longest:
+            return speed
+        stretch *= LONGER
+
+
+def _refine(source: SampleSource, speed: float, stretch: int) -> float:
     """The speed [Hz] near *speed* at which 1x keeps its phase, outputs weighted by their power."""
-    stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
+    motion = steady(speed, source.n_sample / source.sample_rate)
     window = hann(stretch)
     outputs = columns_of(source.channels, "output")
     amplitudes, rest, start = [], np.empty((0, len(outputs))), 0
@@ -169,6 +181,8 @@ def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
+# Factor by which the stretches grow that refine a speed.
+LONGER = 4
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that
 # line is dropped. It is fitted all the same, since it leaks into neighbouring lines, down to the smaller
 # share: what leaks of its error falls as the share does.
