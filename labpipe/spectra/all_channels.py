@@ -4,9 +4,8 @@ noise.
 All channels under periodic excitation: averages over periods, and their covariance from the scatter between
 periods.
 
-With few periods a covariance line by line has few degrees of freedom nu, and weights by it lose efficiency,
-nu/(nu - 2) and more. The noise of the channels does not depend on the excitation, so it is pooled over runs
-where these agree, and over neighbouring lines.
+Weights by a covariance of few degrees of freedom lose efficiency: noise is pooled over runs where these
+agree, and over neighbouring lines.
 """
 
 from __future__ import annotations

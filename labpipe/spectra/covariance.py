@@ -19,11 +19,9 @@ from labpipe.spectra.matrices import (
 )
 from labpipe.spectra.period_average import neighbourhood_mean
 
-# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell
-# too little of it.
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines.
 ENOUGH_DOF = 16.0
-# Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part
-# must exceed zero.
+# Rounds of the fit of a residual's two parts, and standard errors by which a part must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
 # Recordings share their noise unless it differs by more than this share and more standard errors than this.
@@ -45,16 +43,14 @@ def covariance_of_random(
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1,
     S_rr = [-H, I] S [-H, I]^H.
 
-    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z =
-    u) the second factor is (S_uu^-1)[j, i], and one force and one output give E|H - E H|^2 = (1 - coh^2) /
-    coh^2 |H|^2 / n_e: twice the variance that the textbooks give for the magnitude alone (Bendat and Piersol,
-    Random Data, eq. 9.90: the complex value has two such parts). H2 has the same share of its own, larger
-    |H|^2. Exact for H1, first order in 1 / n_e for the others.
+    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. One force
+    and one output give for H1 twice the variance that textbooks give for the magnitude alone (Bendat and
+    Piersol, Random Data, eq. 9.90). Exact for H1, first order in 1 / n_e for the others.
 
     spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency,
     n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y],
-    see random.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side,
-    where few averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
+    see random.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side, where
+    few averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -125,9 +121,9 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     """The residual's spectrum (n_frequency, n_output, n_output) [unit^2/Hz] averaged over *half_width* lines
     to either side.
 
-    Noise of a response is broadband; noise of the force, and hits that are not alike, leave a residual as
-    large as the *response* (n_frequency, n_output, n_input) [unit/N]. Where the latter is significant, lines
-    are averaged relative to a + b |H|^2. Equation (frf-pooled-residual).
+    Where what grows with the *response* (n_frequency, n_output, n_input) [unit/N] is significant, as noise of
+    the force and hits that are not alike do, lines are averaged relative to a + b |H|^2. Equation
+    (frf-pooled-residual).
     """
     if half_width == 0:
         return residual
@@ -189,14 +185,14 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
 
 
 def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:
-    """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings,
-    N = sum_e (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H.
+    """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings, N = sum_e
+    (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H.
 
-    Noise adds N_e of every recording to Y U^H and U U^H; the error of the inverse takes the part h_e of
-    it back, in first order, which is all where recordings are as many as forces. mean (n_line, n_input +
-    n_output, n_recording) [unit], forces first; inverse (n_line, n_recording, n_input) [1/N] = U^+; noise
-    (n_recording, n_line, n_channel, n_channel) [unit^2]. Y U^+ as it is where the noise is not known, and
-    at lines where it is more than half of the forces. Equation (frf-joined).
+    The error of the inverse takes the part h_e of the noise back, in first order, which is all where
+    recordings are as many as forces. mean (n_line, n_input + n_output, n_recording) [unit], forces first;
+    inverse (n_line, n_recording, n_input) [1/N] = U^+; noise (n_recording, n_line, n_channel, n_channel)
+    [unit^2]. Y U^+ as it is where the noise is not known, and at lines where it is more than half of the
+    forces. Equation (frf-joined).
     """
     n_input = inverse.shape[2]
     response = mean[:, n_input:] @ inverse

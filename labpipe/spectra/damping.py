@@ -39,8 +39,7 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
 
     frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1
     x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey
-    and Guerin 2012), and evaluated at x = -s/dw. A single mode is one pole and therefore exact; s is below
-    the line spacing for all windows that fall to 0.2 % or more within the block. Fewer than 5 lines are
+    and Guerin 2012), and evaluated at x = -s/dw. A single mode is exact. Fewer than 5 lines are
     returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1. Equation
     (frf-undamped).
     """

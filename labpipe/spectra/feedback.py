@@ -3,10 +3,10 @@ reference was named.
 
 Random data: what a force does to a response comes after it. In a loop u = r - C y, y = G u + v the estimate
 S_yu / S_uu is (G S_r - C* S_v) / (S_r + |C|^2 S_v), and C* comes before; so does G of a rotor that is
-unstable without its controller. Tested is the part of the impulse response before the force, a few lags left
-out for the ends of the band (Haugh, J. Am. Stat. Assoc. 71, 1976: lags of either sign). Periodic data: what
-does not repeat is noise of sensors, or a force besides, of which the response is G u: by neither is S_wu / G,
-w = y - G u, complex, as it is where v is fed back.
+unstable without its controller. Tested is the part of the impulse response before the force (Haugh, J. Am.
+Stat. Assoc. 71, 1976: lags of either sign). Periodic data: what does not repeat is noise of sensors, or a
+force besides, of which the response is G u: by neither is S_wu / G, w = y - G u, complex, as it is where v is
+fed back.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import definite_inverse, product
 from labpipe.spectra.period_average import LineSpectrum
 from labpipe.spectra.ports import Layout
-from labpipe.spectra.settings import FrfSettings
 
 BIASED = "The FRF is biased towards minus the inverse of the controller by an amount that cannot be known"
 WEIGHTED = (
@@ -34,28 +33,22 @@ WEIGHTED = (
 LEVEL = 1e-3
 # Chance from which a reference that is moved forward is in order: far above that of a feedback hardly seen.
 IN_ORDER = 0.05
-# Samples of every recording that are looked at, so that the test costs little beside a long record's FRF;
-# fewest that tell anything.
+# Most samples of a recording that are looked at, and fewest that tell anything.
 MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
-# Fewest lines of the whole record in the excited band: what averages over HALF_WIDTH lines leave is then
-# small.
+# Fewest lines of the whole record in the excited band.
 FEWEST_LINES = 1000
 # Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the
 # nearest belong to that edge.
 LAGS = range(2, 21)
-# An impulse response before the force of this share of its peak is none: leakage of the record's ends,
-# sensors that differ.
+# Share of its peak that an impulse response may have before the force by leakage, or sensors that differ.
 FLOOR = 0.03
-# Share of the band over which lines fade out at its upper edge: all of it, so that the response of a
-# structure that answers at once (an accelerance, a stiffness) reaches one lag before the force and no
-# further. Share of the record at its ends.
+# Share of the band over which lines fade out: all, so that an accelerance or a stiffness reaches one lag
+# before the force and no further. Share of the record at its ends.
 TAPER, ENDS = 1.0, 0.1
-# Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances
-# out.
+# Lines to either side over which spectra are averaged, order of the filter that takes resonances out.
 HALF_WIDTH, ORDER = 12, 20
-# The excited band ends where the power of the force falls to the first share within a quarter more frequency,
-# unless it stays coherent with the response as by a loop, or to the third share of its peak, the strongly
-# excited one to the fourth.
+# The excited band ends where the force's power falls to the first share within a quarter more frequency, but
+# for one coherent with the response, or to the third share of its peak; that strongly excited to the fourth.
 CLIFF, CLIFF_WIDTH, DARK, DIM, COHERENT = 0.1, 1.25, 1e-4, 0.03, 0.9
 COARSE_BANDS, LOG_BANDS = 200, 60
 # Least share of the lines that the strongly excited band must have of the others.
@@ -67,41 +60,31 @@ LOWEST_EDGE = 0.15
 
 
 def feedback_of_records(
-    sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout
+    sources: Sequence[SampleSource], reference: Sequence[str], forces: Sequence[str], responses: Sequence[str]
 ) -> tuple[Finding, ...]:
-    """A warning where responses come before the forces that should make them, or before what is named as the
-    reference.
+    """A warning where *responses* come before the *forces* that should make them, or before what is named as
+    the *reference*, all by their channels' names.
 
     None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a
     recording are looked at. A reference that was recorded late, with which all is in order once it is moved
     forward, is the warning `reference-lag` instead.
     """
-    columns = []
-    for source, inputs, outputs in zip(sources, layout.input_columns, layout.output_columns, strict=True):
-        names = [channel.name for channel in source.channels]
-        references = [names.index(name) for name in settings.reference if name in names]
-        columns.append((references, [column for column in inputs if column >= 0], list(outputs)))
-    return _feedback(sources, columns, settings.reference)
-
-
-def _feedback(
-    sources: Sequence[SampleSource],
-    columns: Sequence[tuple[list[int], list[int], list[int]]],
-    reference: tuple[str, ...],
-) -> tuple[Finding, ...]:
-    """Warnings on the order of *columns* in each recording: references or else forces, then responses."""
     chances: dict[str, float] = {}
     late: dict[str, float] = {}
-    for source, (references, forces, responses) in zip(sources, columns, strict=True):
-        samples = _first_samples(source)
-        driving = [n for n in references or forces if np.any(samples[:, n] != samples[0, n])]
-        if not driving or not responses or samples.shape[0] < FEWEST_SAMPLES:
+    for source in sources:
+        samples, names = _first_samples(source), [channel.name for channel in source.channels]
+        references, acting, rows = (
+            [names.index(name) for name in dict.fromkeys(some) if name in names]
+            for some in (reference, forces, responses)
+        )
+        driving = [n for n in references or acting if np.any(samples[:, n] != samples[0, n])]
+        if not driving or not rows or samples.shape[0] < FEWEST_SAMPLES:
             continue
-        name, lag = ", ".join(source.channels[column].name for column in driving), 0
-        before, after = samples[:, driving], samples[:, responses]
+        name, lag = ", ".join(names[column] for column in driving), 0
+        before, after = samples[:, driving], samples[:, rows]
         chance = min(chance_of_order(before, after) * len(sources), 1.0)
-        if references and forces and chance < LEVEL:
-            lag = lag_of_reference(before, samples[:, forces], after)
+        if references and acting and chance < LEVEL:
+            lag = lag_of_reference(before, samples[:, acting], after)
         if lag:
             late[name] = lag / source.sample_rate
         else:
@@ -148,25 +131,7 @@ def _lag_findings(late: dict[str, float]) -> tuple[Finding, ...]:
     )
 
 
-def feedback_of_drives(
-    sources: Sequence[SampleSource], drives: Sequence[str], forces: Sequence[str], responses: Sequence[str]
-) -> tuple[Finding, ...]:
-    """A warning where *drives* of random spectra side by side follow the *responses*, or lag behind the
-    *forces* as well, by their channels' names; as feedback_of_records.
-    """
-    columns = []
-    for source in sources:
-        names = [channel.name for channel in source.channels]
-        driving, acting, rows = (
-            [names.index(name) for name in some if name in names] for some in (drives, forces, responses)
-        )
-        columns.append((driving, acting, rows))
-    return _feedback(sources, columns, tuple(drives))
-
-
-def _findings(
-    chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED
-) -> tuple[Finding, ...]:
+def _findings(chances: dict[str, float], reference: Sequence[str], what: str = BIASED) -> tuple[Finding, ...]:
     named = min(chances, key=lambda name: chances[name], default="")
     if not chances or chances[named] >= LEVEL:
         return ()
@@ -400,8 +365,7 @@ def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArra
     G = *response* (n_line,) [SI], which follows from the response by the square root of *gain* (n_line,)
     [1/SI^2], 1 / |u|^2 of one force.
 
-    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). The error
-    of G turns a random force's part of S_yu, by dof S_uu / |u|^2 more of the variance. Equation
+    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation
     (frf-feedback).
     """
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real

@@ -20,21 +20,17 @@ from labpipe.spectra.ports import left_out, response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 
 BLOCK = 1 << 16
-# A hit makes the response this many times what it was within a period; the rise of a beat from its node stays
-# below 4.
+# A hit makes the response this many times what it was within a period; a beat stays below 4.
 JUMP = 6.0
 # A release from a steady state is where the response was last this share of its largest.
 STILL_FULL = 0.95
-# A decay ends where its rms has come down to this many times that of the quietest stretches, and goes on for
-# this share of its length: an amplitude of the noise's size still says something.
+# A decay ends where its rms is this many times that of the quietest stretches, and this share of it later.
 QUIET, BEYOND = 1.5, 0.5
 # Part of the largest rms below which a channel stands still: no sensor has so little noise.
 STILL = 1e-6
-# Stretches of noise, one after another, that end a decay: longer than the nodes of a beat that still stands
-# out.
+# Stretches of noise in a row that end a decay: longer than the nodes of a beat.
 SILENCE = 8
-# The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at
-# least.
+# The largest rms over that of the quietest stretches below which nothing decays, and least samples of one.
 LEAST_RATIO = 4.0
 LEAST_STRETCH = 64
 # Whole periods over which the mean is taken out, so that a drifting rest position is no response.

@@ -32,8 +32,7 @@ from labpipe.spectra.windows import exponential_correlation
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
-# Share of the double-hit level below which the contact has ended; a later rise above that level is a second
-# contact.
+# Share of the double-hit level below which the contact has ended.
 ENDED = 0.5
 # Samples before a hit that tell the offset of its block.
 LEAST_BEFORE = 4
@@ -451,8 +450,8 @@ class _HitAverage:
         """The parts with the FRFs of every hit alone, where there are two or more of one force, each with all
         responses.
 
-        Not under an exponential window: neighbouring lines share its noise, which the residual of a fit of
-        one hit does not show, so that errors come out several times too small.
+        Not under an exponential window, whose lines share their noise: errors of one hit would come out too
+        small.
         """
         if self._settings.damping_window is not None:
             return parts

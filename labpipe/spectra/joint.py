@@ -4,10 +4,9 @@ of forces and responses.
 Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of that
 line in a fit.
 
-With G = Y / U and w = Y - G U the estimated variance S_ww / |U|^2 of a line is small where noise made |U|
-large. In a loop the noise of U is that of w fed back, so weights by it prefer errors of one sign: E(w U*) =
-C_wu brings the bias of an open-loop estimator back, over the number of averages. Therefore G is taken from
-the neighbours of the line, and U as what is most likely if that G is right.
+The variance S_ww / |U|^2 of a line is small where noise made |U| large; in a loop that noise is w = Y - G U
+fed back, so that weights by it prefer errors of one sign. Therefore G is taken from the neighbours of the
+line, and U as what is most likely if that G is right.
 
 H1 and G by the reference, S_yr S_ur^-1, are on the page of theory on responses (Ljung, System Identification,
 1999, chapter 13). Periodic data need no other average: what the periods share is due to r, and the covariance
@@ -96,8 +95,7 @@ def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> C
 
 
 ESTIMATOR = "joint"
-# A force's part that is due to the references, over the standard deviation of that part, below which a ratio
-# to it is no longer normal.
+# A force's part due to the references, over its standard deviation, below which a ratio to it is not normal.
 LOW_SNR = 5.0
 # Lines next to one that share its noise by the window (0.44 of it, of a Hann window; 0.03 two lines away).
 GAP = 1

@@ -1,12 +1,10 @@
 """Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of
 frequency.
 
-Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing in
-the residual.
-
-A(r) Y(k + r) = B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th
-IFAC Symposium on System Identification, "Non-parametric frequency response estimation using a local rational
-model"; here linear in its coefficients).
+Local rational method: the FRF has a pole of its own, so that sharp resonances leave nothing. A(r) Y(k + r) =
+B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th IFAC Symposium on
+System Identification, "Non-parametric frequency response estimation using a local rational model"; here
+linear in its coefficients).
 """
 
 from __future__ import annotations
@@ -190,13 +188,6 @@ class LocalNoise:
     width: int
 
 
-def noise_freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
-    """Complex degrees of freedom of the residual of one output: as of local polynomials, less one for the
-    pole.
-    """
-    return freedom(n_block, n_input, degree, half_width) - 1
-
-
 def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalNoise:
     """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block,
     n_line, n_input) [N].
@@ -208,7 +199,8 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
     parts = [_around_lines(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
     noise: ComplexArray
     noise, leakage, spread, of_blocks = (np.concatenate(part) for part in zip(*parts, strict=True))
-    dof = noise_freedom(forces.shape[0], forces.shape[2], degree, half_width)
+    # As of local polynomials, less one for the pole.
+    dof = freedom(forces.shape[0], forces.shape[2], degree, half_width) - 1
     return LocalNoise(noise / dof, leakage, spread, of_blocks, dof, 2 * half_width + 1)
 
 
@@ -273,11 +265,7 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     blocks, recordings = np.concatenate(padded), np.repeat(np.arange(len(padded)), [len(p) for p in padded])
     n_input = len(layout.inputs)
     half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
-    if freedom(blocks.shape[0], n_input, settings.degree, half_width) < LEAST_DOF:
-        least = usual_half_width(blocks.shape[0], n_input, settings.degree)
-        raise DataError(
-            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
-        )
+    check_half_width(half_width, blocks.shape[0], n_input, settings.degree)
     frequency = np.arange(1, blocks.shape[1] + 1) * (rate / n_sample)
     inner = frequency[half_width:-half_width]
     if not inner.size:
@@ -322,6 +310,15 @@ def usual_half_width(n_block: int, n_input: int, degree: int) -> int:
     polynomial has coefficients.
     """
     return next(n for n in range(degree + 1, 10_000) if freedom(n_block, n_input, degree, n) >= USUAL_DOF)
+
+
+def check_half_width(half_width: int, n_block: int, n_input: int, degree: int, n_pole: int = 0) -> None:
+    """DataError for a half width that leaves the noise unknown, beside *n_pole* poles of the FRF."""
+    if freedom(n_block, n_input, degree, half_width) - n_pole < LEAST_DOF:
+        least = n_pole + usual_half_width(n_block, n_input, degree)
+        raise DataError(
+            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
+        )
 
 
 def _spectra(source: SampleSource, block: float) -> ComplexArray:

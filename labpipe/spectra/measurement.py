@@ -178,7 +178,11 @@ def _measure(
     layout = find_layout(sources)
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
-    loop = feedback_of_records(sources, settings, layout) if settings.excitation in BLOCKS else ()
+    forces, responses = (
+        [sensor.name for sensor in sensors] for sensors in (layout.input_sensors, layout.output_sensors)
+    )
+    is_told = settings.excitation in BLOCKS
+    loop = feedback_of_records(sources, settings.reference, forces, responses) if is_told else ()
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
     open_loop = EXCITATIONS[settings.excitation]

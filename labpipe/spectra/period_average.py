@@ -124,18 +124,13 @@ class RestMotion:
         return np.asarray(np.any(over & (single > rounding), axis=0))
 
 
-# Motion that has not died away when the first of the averaged periods begins: from the differences of
-# neighbouring periods.
-#
-# A rig that starts from rest answers with its steady motion less a free one, which decays by exp(-zeta w_n T)
-# from one period T to the next. The squares of the differences of neighbouring periods then fall
-# exponentially to the level that noise leaves, whereas a drift leaves them as they are. Looked at in groups
-# of lines: free motion stands on a few of them, beside a resonance.
+# A rig that starts from rest answers with its steady motion less a free one. The squares of the differences
+# of neighbouring periods then fall exponentially to the level of noise; in groups of lines, since free motion
+# stands on a few, beside a resonance.
 
 # Groups of lines, the least lines of one, and the differences from which on something can be told.
 GROUPS, GROUP_LINES, FEWEST = 16, 4, 4
-# Chance of a finding on a sound record, and degrees of freedom that the expected scatter counts for beside
-# what is seen.
+# Chance of a finding on a sound record, and degrees of freedom of the expected scatter beside what is seen.
 CHANCE, EXPECTED_DOF = 1e-4, 4.0
 # Logarithm by which squares that fall evenly must do so in all: less is slow noise.
 LEAST_FALL = 3.0
@@ -330,11 +325,10 @@ class PeriodAverage:
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
     """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h.
 
-    Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood
-    fit with weights of 4 degrees of freedom is inefficient and underestimates its standard errors.
-    Measurement noise is broadband, so neighbouring lines share it. A line whose noise in any channel exceeds
-    that of its neighbours (F-test at 0.1 %) is not averaged; of fewer periods than channels its own noise has
-    no inverse, and *with_inverse* what exceeds its neighbours' raises theirs. Equation (spec-smoothed-noise).
+    Few periods give too few degrees of freedom per line for weights; broadband noise is shared by neighbours.
+    A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged; of
+    fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its neighbours'
+    raises theirs. Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum

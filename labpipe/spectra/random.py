@@ -1,15 +1,12 @@
 """Recordings of a random excitation -> FRF matrix: H1, H2, Hv from Welch's averages, with coherence and
 covariance.
 
-FRF estimators H1, H2, Hv from the cross-spectral matrix. ESTIMATORS and INSTRUMENTS by name.
-
 Frequency is axis 0. S_uu (n_frequency, n_input, n_input), S_yu = E[Y U*] (n_frequency, n_output, n_input),
 S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_input).
 
-Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]. The instruments
-determine how noise propagates, so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output,
-n_input, n_input + n_output) from the response and the power of all channels, forces first (n_frequency,
-n_input + n_output); n_output is 1 where all outputs share them.
+Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]: INSTRUMENTS gives
+W (n_frequency, n_output, n_input, n_input + n_output) from the response and the power of all channels, forces
+first (n_frequency, n_input + n_output); n_output is 1 where all outputs share them.
 """
 
 from __future__ import annotations
@@ -73,8 +70,7 @@ def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     and output alike.
 
     Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the
-    line, so that the result does not depend on units: in metres the unscaled form would collapse to H1.
-    Equation (frf-hv).
+    line, so that the result does not depend on units. Equation (frf-hv).
     """
     n_input = s_uu.shape[1]
     force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)

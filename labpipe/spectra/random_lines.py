@@ -21,7 +21,7 @@ from labpipe.records.response import Blocks
 from labpipe.registry import nearest
 from labpipe.spectra.channel_layout import ChannelLayout
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.feedback import feedback_of_drives
+from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
 from labpipe.spectra.random import block_average, blocks_of
@@ -157,7 +157,7 @@ def random_lines(
     forces, responses = (
         [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
     )
-    fed_back = feedback_of_drives(sources, drives, forces, responses)
+    fed_back = feedback_of_records(sources, drives, forces, responses)
     return MeasuredLines(
         frequency=frequency,
         vectors=vectors,

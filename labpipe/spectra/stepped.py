@@ -92,17 +92,13 @@ def frequency_variance(signal: FloatArray, frequency: float) -> float:
     return 6 * noise / (np.pi**2 * float(factors[0] ** 2 + factors[1] ** 2) * n**3)
 
 
-# How long after each step the transient lasts: until what is left of it is far below the noise of the
-# result.
-
 # Bins of the time after a step, from zero to the end of the longest dwell.
 N_BIN = 40
 # Standard errors by which the scatter in a bin exceeds that of noise while a transient is seen.
 SEEN = 4.0
 # Share of a standard error that the transient may leave in a result.
 LEFT = 0.2
-# Noise of a block [of its amplitude] below which no sensor is believed to be: a transient smaller than that
-# has settled.
+# Noise of a block, of its amplitude, below which a transient has settled.
 LEAST_NOISE = 1e-4
 
 
@@ -137,9 +133,8 @@ def settle_time(courses: Sequence[Course]) -> float:
     """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
     where none is seen.
 
-    All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t -
-    t_1) / tau), shows the transient up to t_1, and is continued from there. A transient of a/s standard
-    deviations of a block leaves the mean of n blocks off by a tau / (n T) in standard errors s / sqrt(n).
+    What exceeds the noise, summed over dwells and channels, S_1 exp(-2 (t - t_1) / tau), is seen up to t_1
+    and continued from there; of a/s standard deviations of a block a tau / (n T) is left in the mean of n.
     DataError when the transient outlasts the dwells, and without a dwell. Equation (frf-settle).
     """
     if not courses:
@@ -176,8 +171,7 @@ def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray
         deviation = course.deviation()
         sums = np.bincount(place, deviation.sum(axis=1), minlength=edges.size - 1)
         total[some] += sums[some] / number[some]
-        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom,
-        # heavier than chi2.
+        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom.
         variance[some] += deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0]) / number[some]
         when += np.bincount(place, course.times, minlength=edges.size - 1)
         count += number
@@ -206,8 +200,7 @@ def _allowance(course: Course, tau: float) -> float:
 MOST_BLOCKS, LEAST_BLOCKS = 32, 4
 # Fewest samples of a block, so that three values are fitted to more.
 LEAST_SAMPLES = 8
-# Frequencies of two dwells are the same within this share of one over their length: far below what a dwell
-# can resolve.
+# Frequencies of two dwells are the same within this share of one over their length.
 SAME_LINE = 0.05
 # Share of the force's power that the sine explains in a dwell, and of the largest amplitude that it has.
 SINE_SHARE, LEAST_LEVEL = 0.8, 0.01

@@ -20,8 +20,7 @@ LEAST_PERIODS = 5
 HYSTERESIS = 0.3
 # Share of the force's power below the frequency that sets how long its local peak is looked for.
 LOW_SHARE = 0.005
-# A period belongs to the dwell while its crossing lies within so many standard errors of where the periods
-# before put it.
+# Standard errors within which a crossing lies where the periods of the dwell before put it.
 WITHIN = 6.0
 # Most by which a straight line through the samples of a sine misses its crossing [periods], times the square
 # of the samples per period: all that the crossings of a force without noise scatter by.
@@ -190,7 +189,7 @@ def loudest(samples: FloatArray, columns: IntArray) -> int:
     return int(columns[np.argmax(np.var(samples[:, columns], axis=0))])
 
 
-# Fewest periods that count as a sweep, and the least ratio of its highest to its lowest frequency.
+# Fewest periods of a sweep, and the least ratio of its highest to its lowest frequency.
 LEAST_SWEPT_PERIODS, LEAST_SPAN = 10, 1.05
 # Largest ratio of two neighbouring periods in a sweep: beyond it, another one begins, or noise.
 LARGEST_STEP = 1.4
@@ -198,19 +197,15 @@ LARGEST_STEP = 1.4
 TURNED = 0.1
 # Periods whose median gives the frequency at an end of a sweep.
 AT_END = 5
-# Share of the largest amplitude of a force below which its sweep is none: another shaker's, seen by this
-# force.
+# Share of a force's largest amplitude below which a sweep is another shaker's.
 LEAST_LEVEL = 0.05
-# Slope of the frequency over a few periods, as a share of that of the whole, below which it stays and steps;
-# fewest such pieces.
+# Slope over a few periods, as a share of the whole's, below which a frequency steps; fewest such pieces.
 STEPPED, LEAST_WINDOWS = 0.5, 10
-# A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing: its
-# amplitude rises slowly.
+# A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing.
 MARGIN, MARGIN_SHARE = 2.0, 0.02
-# Share of the length of the longest sweep below which a run is none: a restart looks like a short sweep back.
+# Share of the longest sweep's length below which a run is none: a restart looks like a short sweep back.
 LEAST_LENGTH = 0.1
-# A piece of crossings goes on with a sweep that it does not turn back from by more than this, where both lie
-# within this share of one law (median).
+# A piece goes on with a sweep that it does not turn back from by more than this, both on one law (median).
 BACK, OFF_LAW = 0.9, 0.06
 # A sweep reaches on in steps of so many periods, while this share of the power lies within a factor of its
 # frequency.
@@ -470,12 +465,10 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
 
 # How fast a resonance is swept: against the rule of ISO 7626-2, and against what the record resolves.
 
-# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response.
-# With half as many, the damping of a record cut in full motion was off by up to half its standard error
-# (tests/spectra/test_sweep_coverage.py has 8 and 16).
+# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response:
+# with half as many the damping was off by up to half its standard error.
 FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
-# Coherence, the median of so many lines to either side, below which the highest line of an FRF is no peak
-# whose width says anything: noise of a seventh makes narrow ones.
+# Coherence, the median of so many lines to either side, below which the highest line of an FRF is no peak.
 CLEAR_PEAK, CLEAR_LINES = 0.98, 5
 
 
@@ -484,8 +477,7 @@ def largest_rate(frequency: float, damping_ratio: float) -> float:
     zeta^2 Hz/min.
 
     ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a
-    logarithmic sweep are the same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b.
-    Equation (frf-sweep-rate).
+    logarithmic sweep are the same rate at f_n. Equation (frf-sweep-rate).
     """
     return 216.0 / 60 * frequency**2 * damping_ratio**2
 
@@ -502,10 +494,10 @@ def rate_findings(
 ) -> tuple[Finding, ...]:
     """The highest resonance of each FRF that is swept faster than ISO 7626-2 allows: the one that is most so.
 
-    A note where the record holds all that rings, for then the transforms give the FRF whatever the rate; a
-    warning where the lines are too coarse for the resonance, or, when *leaking*, for the leakage that was
-    taken out. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any unit]; *rate* of sampling
-    [Hz]; *n_sample* of a block; *coherence* (n_line, n_output) [1]: a peak of noise is none.
+    A note where the record holds all that rings; a warning where the lines are too coarse for the resonance,
+    or, when *leaking*, for its leakage. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any
+    unit]; *rate* of sampling [Hz]; *n_sample* of a block; *coherence* (n_line, n_output) [1]: a peak of noise
+    is none.
     """
     peaks = _peaks(frequency, matrix, coherence)
     if not peaks:

@@ -19,7 +19,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_parts, noise_levels, pooled_residual
-from labpipe.spectra.local import LEAST_DOF, LocalNoise, local_noise, noise_freedom, usual_half_width
+from labpipe.spectra.local import LocalNoise, check_half_width, local_noise, usual_half_width
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import force_inverse
@@ -29,29 +29,23 @@ from labpipe.spectra.sweeps import MARGIN_SHARE, FoundSweep, cuts, find_sweeps, 
 # Leakage counts where its power exceeds that of the noise in its estimate by this factor, and by so many
 # standard errors.
 LEAKING, SURELY = 1.2, 3.0
-# Variance of the leakage over that of the noise above which a line cannot be told from it: those swept at the
-# ends of a record.
+# Variance of the leakage over that of the noise above which a line, swept at an end, cannot be told from it.
 LARGEST_SPREAD = 1.0
-# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: with fewer, the weights
-# of a fit scatter.
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines.
 ENOUGH_DOF = 48.0
-# A response is at rest where it moves, over half a period of the lowest frequency swept, by no more than this
-# share of its r.m.s. and this many times the noise.
+# A response is at rest where half a period of the lowest frequency has no more of its r.m.s., and of noise.
 AT_REST, NOISE_ALONE = 0.02, 1.5
-# Share of the force's usual level around a line below which nothing is measured there, and lines that make
-# the usual level.
+# Share of the force's usual level, over lines around, below which nothing is measured.
 LEAST_SHARE, AROUND = 0.1, 101
 
 
-# Share of the widest band of a recording's sweeps below which a sweep is left out: the record begins or ends
-# within it, and its band would be that of all.
+# Share of the widest band below which a sweep is left out: the record begins or ends within it.
 WHOLE = 0.9
 
 
-# Parts of a block; a burst is one that holds this share of a block's noise, and this many times the usual
-# power. Noise below this share of a response hides nothing, and what is left beside a smooth FRF is noise up
-# to this many times that of the local fit. White noise gives 1.2 times the usual power, a rotor that touches
-# its stop at a resonance 35 to 60 times, and half of all.
+# Parts of a block; a burst is one with this share of its noise, and this many times the usual power (white
+# noise: 1.2 times, a rotor that touches its stop: 35 to 60). Noise below this share of a response hides
+# nothing; what a smooth FRF leaves is noise up to this many times that of the local fit.
 PARTS, BURST_SHARE, BURST_POWER, LEAST_NOISE, MOST_EXCESS = 32, 0.3, 8.0, 0.05, 3.0
 
 
@@ -216,11 +210,7 @@ def _in_band(
     # As wide as for one sweep of every force: each has leakage of its own.
     usual = 1 + usual_half_width(min(n_block, n_input), n_input, settings.degree)
     half_width = settings.half_width or usual
-    if noise_freedom(n_block, n_input, settings.degree, half_width) < LEAST_DOF:
-        least = 1 + usual_half_width(n_block, n_input, settings.degree)
-        raise DataError(
-            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
-        )
+    check_half_width(half_width, n_block, n_input, settings.degree, 1)
     frequency = np.arange(1, n_line + 1) * spacing
     inside = lines_in(frequency, band) & lines_in(frequency, settings.band)
     inside[:half_width] = inside[n_line - half_width :] = False

@@ -4,9 +4,8 @@ Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitte
 mean over periods.
 
 x(t) = p(t) + Re sum_h X_h e^{j h theta(t)} with p periodic and free is linear; without the mean over the
-periods of both sides the normal equations hold X_h alone, so the excitation does not disturb them, however
-strong it is. A harmonic that is itself periodic with the excitation, on one of its lines, is not left in the
-remainder: it cannot be told from the response there, and the line is dropped.
+periods of both sides the normal equations hold X_h alone. A harmonic on a line of the excitation cannot be
+told from the response there, and the line is dropped.
 """
 
 from __future__ import annotations
@@ -77,9 +76,9 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
     recording.
 
-    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of
-    the first `harmonics`. A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution
-    within 100 s. DataError for fewer than two revolutions. Equation (spec-synchronous).
+    The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous averaging
+    (McFadden 1987). A given speed is refined first. DataError for fewer than two revolutions. Equation
+    (spec-synchronous).
     """
     motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
@@ -183,17 +182,15 @@ def _refine(source: SampleSource, speed: float, stretch: int) -> float:
 
 # Factor by which the stretches grow that refine a speed.
 LONGER = 4
-# A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that
-# line is dropped. It is fitted all the same, since it leaks into neighbouring lines, down to the smaller
-# share: what leaks of its error falls as the share does.
+# A harmonic of which less than the larger share is left after the mean over periods lies on a line, which is
+# dropped. It is fitted all the same, down to the smaller share, since it leaks into neighbouring lines.
 LEAST_LEFT, LEAST_FITTED = 0.5, 1e-4
 # A force acts on a line above this share of its strongest line.
 ACTING = 1e-3
 # Instants of tacho pulses are uncertain by this much [samples] where they are steps between two samples.
 PULSE_ERROR = 0.35
 MOST_DEGREES = 8
-# Gain in the logarithm of the likelihood that noise alone does not give a speed, with some twenty amplitudes
-# beside it.
+# Gain in the logarithm of the likelihood that noise alone does not give a speed.
 BETTER = 30.0
 
 
@@ -360,8 +357,7 @@ def _refined_between(
     return best
 
 
-# A shaft turns steadily where its fastest is at most this many times its slowest; pulses of noise at rest are
-# not steady.
+# A shaft turns steadily where its fastest is at most this many times its slowest.
 STEADY = 1.2
 
 

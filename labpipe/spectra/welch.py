@@ -1,14 +1,9 @@
 """Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
 
-Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments
-at a time.
-
 Three ways of one job. Blocks that stay in the cache: LineProducts, whose small matrices BLAS multiplies
-line by line, many segments at once. Longer blocks of a few pairs of channels: PackedProducts, in which two
-real channels share one complex transform and lines stand last in memory, so that every operation runs over a
-long row; half the memory, and in place. Longer blocks of other channels: RowProducts, in which every channel
-is transformed in a row of its own, two segments at once, and brought together with the others behind the
-transform, for BLAS.
+line by line. Longer blocks of a few pairs of channels: PackedProducts, in which two real channels share one
+complex transform and every operation runs over a long row. Longer blocks of other channels: RowProducts, in
+which a channel of two segments is one transform.
 """
 
 from __future__ import annotations
@@ -26,20 +21,17 @@ from labpipe.processes import by_turns, threads
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all
-# channels together; the most channels that are worth packing in pairs, and the samples per channel from which
-# on packing pays.
+# Measured on blocks of 4096 to 100,000 samples: samples of a block that stay in the cache, channels together;
+# most channels that are worth packing, and samples per channel from which on it pays.
 SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
-# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in
-# the cache and, for very long blocks, in memory. Products of small matrices are fastest with about this many
-# segments; of long rows with fewer, and of no more than LONG_SAMPLES of a channel together.
+# Segments transformed together [samples, segments]: few enough to stay in the cache and, of very long blocks,
+# in memory. Long rows are fastest with fewer, of no more than LONG_SAMPLES of a channel together.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 22
 SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
 # Complex numbers of a product that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
-# The same for rows of all channels: their products are sums of many numbers, which are read and written once
-# per PAIRS_AT_ONCE. Rows that are transposed, and lines whose products are made, in the cache.
+# The same for rows of all channels; rows transposed, and lines whose products are made, in the cache.
 PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
@@ -147,7 +139,7 @@ class LineProducts(SegmentProducts):
 
 
 class PackedProducts(SegmentProducts):
-    """Products of Z = FFT(z) of channels packed in pairs, z_k = x_2k + i x_2k+1, for blocks of many lines.
+    """Products of Z = FFT(z) of channels in pairs, z_k = x_2k + i x_2k+1, an even number of them.
 
     X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f)
     Z_m(f)*, Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
@@ -223,8 +215,7 @@ class RowProducts(SegmentProducts):
         n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
         self._room, self._step, self._window = 2 * n_pair, step, window
         self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
-        # For every thread the samples of a pair of segments, in rows of channels. A pair that waits for its
-        # second segment is in the first.
+        # A pair that waits for its second segment is in the place of the first thread.
         self._n_thread = threads()
         self._rows = np.empty((self._n_thread, n_channel, window.size + step))
         self._pair = np.empty((self._n_thread, n_channel, window.size), np.complex128)
