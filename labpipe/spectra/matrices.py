@@ -51,25 +51,19 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
     n = matrix.shape[-1]
     if n > 2:
         return np.linalg.inv(matrix)
-    determinant = (
-        matrix[..., 0, 0]
-        if n == 1
-        else matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-    )
+    determinant = matrix[..., 0, 0]
+    if n == 2:
+        determinant = determinant * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
     if np.any(determinant == 0):
         raise np.linalg.LinAlgError("Singular matrix")
     result = np.empty_like(matrix, np.complex128)
-    if n == 1:
-        np.divide(1.0, matrix, out=result)
-        return result
     reciprocal = 1.0 / determinant
-    for (row, column), (i, j), sign in (
-        ((0, 0), (1, 1), 1),
-        ((0, 1), (0, 1), -1),
-        ((1, 0), (1, 0), -1),
-        ((1, 1), (0, 0), 1),
-    ):
-        np.multiply(matrix[..., i, j], reciprocal if sign > 0 else -reciprocal, out=result[..., row, column])
+    if n == 1:
+        result[..., 0, 0] = reciprocal
+        return result
+    for i, j in np.ndindex(2, 2):
+        sign = 1 if i == j else -1
+        np.multiply(matrix[..., 1 - j, 1 - i], sign * reciprocal, out=result[..., i, j])
     return result
 
 

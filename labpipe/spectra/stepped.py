@@ -111,9 +111,6 @@ class Course:
     times: FloatArray
     values: ComplexArray
 
-    def of(self, channel: int) -> Course:
-        return Course(self.times, self.values[:, [channel]])
-
     def deviation(self) -> FloatArray:
         """|X - its mean over the last half|^2 over the noise from differences there, less what noise gives,
         (n_block, n_channel) [1].
@@ -358,7 +355,7 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
     """When the force alone is steady [s]: it gives the frequency, the more exactly the longer it is."""
     try:
-        return settle_time([course.of(0) for course in courses])
+        return settle_time([Course(course.times, course.values[:, :1]) for course in courses])
     except DataError:
         return otherwise
 
