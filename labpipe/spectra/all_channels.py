@@ -164,10 +164,9 @@ def channel_spectra(
 ) -> ChannelSpectra:
     """The complex amplitudes of all channels of a test, run by run, with their covariance.
 
-    A run is a recording of periodic excitation, or the part of random recordings that is due to one of their
-    drives. A line stays where any force acts in any run; a run need not excite every direction. Raises
-    DataError for recordings that do not fit together, are too short, hold NaN or no force, ConfigError for an
-    excitation other than periodic and random.
+    A run is a recording of periodic excitation, or the part of random ones due to a drive. A line stays where
+    any force acts in any run. DataError for recordings that do not fit together, are too short, hold NaN or
+    no force, ConfigError for an excitation other than periodic and random.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:

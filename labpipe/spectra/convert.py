@@ -141,10 +141,9 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance
     (Mendes et al.).
 
-    Rows and columns are labelled f and b. The two outputs and the two forces may point in any two known
-    directions; they are transformed to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and
-    distortion are dropped. Raises DataError unless there are two outputs and two forces in known, different
-    directions. Equation (frf-directional).
+    Rows and columns are labelled f and b. Outputs and forces may point in any two known directions each. An
+    isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. DataError unless there are two
+    outputs and two forces in known, different directions. Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
@@ -190,7 +189,7 @@ def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     response].
 
     Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors,
-    1993): the backward row is the forward row at negative frequencies. A line at 0 Hz appears twice, as -0
+    1993). A line at 0 Hz appears twice, as -0
     and 0. DataError for a response that is not directional. Equation (frf-two-sided).
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))

@@ -352,7 +352,12 @@ class _HitAverage:
         # Two samples in every tenth, to see whether the response dies away.
         self.n_sample = block_samples(source, settings.block, 20)
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
+        # The window of the blocks in the end, whoever applied it.
+        self._exponential = np.ones(self.n_sample)
         if settings.damping_window is not None:
+            self._exponential = exponential_window(
+                self.n_sample, settings.damping_window * source.sample_rate
+            )
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
             self._lines = slice(
                 max(1, self._lines.start - HALF_WIDTH),
@@ -387,29 +392,26 @@ class _HitAverage:
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def _window(self, hit: Hit) -> FloatArray:
-        rate, impact = self._source.sample_rate, self._settings.impact
         samples = hit.samples.copy()
-        if impact.force_window is not None:
-            samples[:, self.force] *= force_window(self.n_sample, hit.trigger, impact.force_window * rate)
-        if impact.decay is not None:
-            samples *= exponential_window(self.n_sample, impact.decay * rate)[:, None]
+        samples[:, self.force] *= self._force_window(hit)
+        if self._settings.impact.decay is not None:
+            samples *= self._exponential[:, None]
         self._note_slow(samples)
         return samples
 
+    def _force_window(self, hit: Hit) -> FloatArray:
+        length = self._settings.impact.force_window
+        if length is None:
+            return np.ones(self.n_sample)
+        return force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
+
     def _noise_power(self, hit: Hit) -> float:
         """Mean |X|^2 of the force's noise under its windows, by the second half of what follows the hit."""
-        rate, length = self._source.sample_rate, self._settings.impact.force_window
-        decay = self._settings.damping_window
         rest = hit.samples[(self.n_sample + hit.trigger) // 2 :, self.force]
         ends = np.array([self._lines.start, self._lines.stop]) * rest.size // self.n_sample
         lines = slice(ends[0], ends[1] + 1)
         power = float(np.mean(np.abs(fft.rfft(rest - np.mean(rest))[lines]) ** 2)) / rest.size
-        window = np.ones(self.n_sample)
-        if length is not None:
-            window *= force_window(self.n_sample, hit.trigger, length * rate)
-        if decay is not None:
-            window *= exponential_window(self.n_sample, decay * rate)
-        return power * float(np.sum(window**2))
+        return power * float(np.sum((self._force_window(hit) * self._exponential) ** 2))
 
     def force_noise(self) -> FloatArray:
         """Relative error (n_line,) [1] of the mean force by its noise that is alike at many lines: its share
@@ -479,12 +481,9 @@ class _HitAverage:
 
         Empty without an exponential window.
         """
-        decay = self._settings.damping_window
-        if decay is None:
+        if self._settings.damping_window is None:
             return np.empty(0, np.complex128)
-        return exponential_correlation(
-            exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins))
-        )
+        return exponential_correlation(self._exponential, float(np.mean(self._origins)))
 
 
 def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:

@@ -71,8 +71,7 @@ def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """The inverses of Hermitian positive definite matrices (n_line, n, n) [any unit], and their pivots
     (n_line, n) [any unit].
 
-    Gauss-Jordan elimination of all lines at once, which needs no exchange of rows; the determinant is the
-    product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
+    The determinant is the product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
     """
     n_line, n = matrix.shape[:2]
     work = lines_last(n_line, n, n)
@@ -96,9 +95,8 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A
     (n_line, n_first, n_first).
 
-    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal, of a few lines
-    at a time, which stay in the cache: no inverse of A, whose condition would enter; exactly Hermitian, and a
-    diagonal that rounding makes negative is 0.
+    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal: the condition of
+    A does not enter; exactly Hermitian, and a diagonal that rounding makes negative is 0.
     """
     n_line, n = matrix.shape[:2]
     rest = lines_last(n_line, n - n_first, n - n_first)

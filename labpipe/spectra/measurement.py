@@ -61,10 +61,9 @@ def measure(
 ) -> FrequencyResponse:
     """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
 
-    Several recordings, for example one per force direction, give one matrix; a force that a recording lacks
-    is zero in it. Memory use does not depend on the recordings' length. Raises DataError for recordings that
-    do not fit together, are too short, hold NaN, or whose forces are not independent; one that is too short
-    for an average, as what follows an interruption, is left out by name beside longer ones of its channels.
+    A force that a recording lacks is zero in it. Memory use does not depend on the recordings' length.
+    DataError for recordings that do not fit together, are too short, hold NaN, or whose forces are not
+    independent; one too short for an average is left out by name beside longer ones of its channels.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:

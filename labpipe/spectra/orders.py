@@ -87,10 +87,9 @@ def track_order(
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
 
     *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
-    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays of the channels, that of the
-    tacho, and their frequency responses are taken out of the amplitude. DataError when the recording holds no
-    complete segment, not two samples for a turn of the order, or an order outside a channel's frequency
-    response. Equation (run-order).
+    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays, that of the tacho too, and
+    frequency responses of the channels are taken out. DataError without a complete segment, without two
+    samples for a turn of the order, or outside a channel's response. Equation (run-order).
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))

@@ -170,9 +170,8 @@ class Differences:
         """Of the channels *columns* that have not settled: how many more periods to skip, and the decay of
         the motion per period [1].
 
-        By logarithms of the squares, against Student's t at a chance of 1e-4 in all: the first one over the
-        later half, where motion dies away within the record, and their slope, where it does not. Equation
-        (spec-settling).
+        By logarithms of the squares, against Student's t: the first one over the later half, and their slope.
+        Equation (spec-settling).
         """
         if len(self._squares) < FEWEST or not columns:
             return {}

@@ -293,8 +293,7 @@ class Distortion:
 def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
     """Distortion from FRFs of one rig under several random-phase realisations of one excitation.
 
-    Noise scatters from period to period, stochastic nonlinear contributions only from realisation to
-    realisation (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method).
+    The robust method (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1).
     DataError for fewer than two realisations, different lines, or FRFs of single periods.
     """
     if len(realisations) < 2:
@@ -366,9 +365,9 @@ def left_out_lines(
     """The lines within the band of those where a force is *acting* (n_line,) at which none does, by kind:
     "odd" and "even" where forces act at odd multiples of 1 / *period* [s] alone, else "".
 
-    Odd multisines answer at even lines by nonlinearity of even order alone, at odd ones left out by that of
-    odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*: forces first, then outputs;
-    *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four lines are left out.
+    Of nonlinearity of even and odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*:
+    forces first, then outputs; *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four
+    lines are left out.
     """
     first, last = np.flatnonzero(acting)[[0, -1]]
     silent = ~acting
@@ -453,8 +452,8 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the
     number M of realisations.
 
-    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1
-    degrees of freedom per line. Raises as robust_distortion does. Equation (frf-robust).
+    Distortion is averaged over *half_width* lines to either side, as noise is. Raises as robust_distortion
+    does. Equation (frf-robust).
     """
     first, m = responses[0], len(responses)
     levels = robust_distortion(responses)

@@ -48,9 +48,8 @@ class Layout:
         """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at
         *frequency* (n_line,) [Hz].
 
-        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base: displacement
-        of the one over acceleration of the other is motion over motion. Raises as sensor_response does.
-        Equation (spec-sensor-frf).
+        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base. Raises as
+        sensor_response does. Equation (spec-sensor-frf).
         """
         responses = [
             [sensor_response(sensor, frequency) for sensor in sensors]
@@ -309,8 +308,7 @@ def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) 
     """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the
     *multiple* coherence (same shape).
 
-    Lines of low coherence alone are no fault: every response has some, beside its resonances and at
-    antiresonances.
+    Lines of low coherence alone are no fault: every response has some.
     """
     total = np.sum(power, axis=0)
     noise = np.divide(
@@ -338,8 +336,8 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     several responses.
 
     Rows and columns are in the order of the numbers in their labels. Coherences and covariances stay where
-    all responses have them; the noise of different responses is independent. DataError, with the names of the
-    responses, for an element that is missing or there twice, for frequencies or forms that differ.
+    all responses have them; their noise is independent. DataError for an element that is missing or there
+    twice, for frequencies or forms that differ.
     """
     first = responses[0]
     for response in responses[1:]:

@@ -92,10 +92,9 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     """The FRF H = Y pinv(U) from transforms of every sweep with all that rings after it, on the lines that
     all of them pass.
 
-    Where a response has not come to rest before the next sweep or the end of the record, the leakage this
-    leaves is estimated over the lines by a local rational fit and taken out. DataError for recordings without
-    sweeps, with fewer sweeps than forces, or whose sweeps have no band or no length in common. Equation
-    (frf-sweep).
+    Leakage of a response that has not come to rest is estimated by a local rational fit and taken out.
+    DataError for recordings without sweeps, with fewer sweeps than forces, or without a band in common.
+    Equation (frf-sweep).
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
@@ -239,8 +238,7 @@ def _without_leakage(
 ) -> tuple[_Spectra, tuple[Finding, ...]]:
     """The spectra without the leakage of their responses where there is some, and a note on it.
 
-    A sweep at the very end of a record looks like leakage itself: its lines keep it, and their noise holds
-    what it may be. DataError when no other line tells how much that is.
+    A sweep at the very end of a record looks like leakage itself: its lines keep it, in their noise.
     """
     local = spectra.local
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))

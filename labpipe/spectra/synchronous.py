@@ -402,7 +402,7 @@ def lines_of_shaft(
     """Warnings for lines on which a force acts in a recording, *excited* (n_line,) [Hz] of each, that lie on
     1x or 2x of the shaft by a tacho that no setting names.
 
-    The scatter between periods does not show a runout there. The tacho is taken to give a pulse per
+    The tacho is taken to give a pulse per
     revolution.
     """
     if settings.excitation != "periodic" or settings.mask is not None or settings.remove is not None:
