@@ -4,6 +4,8 @@ n_input + input).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 
@@ -39,6 +41,7 @@ def covariance_of_random(
     instruments: ComplexArray,
     averages: float,
     half_width: int = 0,
+    parts: Sequence[tuple[ComplexArray, FloatArray]] = (),
 ) -> ComplexArray:
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1,
     S_rr = [-H, I] S [-H, I]^H.
@@ -49,8 +52,9 @@ def covariance_of_random(
 
     spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency,
     n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y],
-    see random.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side, where
-    few averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
+    see random.INSTRUMENTS; *parts* that add up to the spectra, with the level (n_output,) of the noise in
+    each. The residual's spectrum is averaged over *half_width* lines to either side, where few averages alone
+    would tell little of it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -58,11 +62,13 @@ def covariance_of_random(
     # B_o^H W_o of every response in rows, so that one product gives the spread of all pairs of responses.
     gain = hermitian(inverse(force_products)) @ instruments
     rows = gain.reshape(n_frequency, -1, gain.shape[3])
-    spread = (rows @ spectra @ hermitian(rows)).reshape(
-        n_frequency, gain.shape[1], n_input, gain.shape[1], n_input
-    )
-    # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
-    return without_rounding(_join(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0)))
+    shape = n_frequency, gain.shape[1], n_input, gain.shape[1], n_input
+    whole = np.zeros((n_frequency, response[0].size, response[0].size), np.complex128)
+    for part, level in parts or [(spectra, np.ones(response.shape[1]))]:
+        spread = (rows @ part @ hermitian(rows)).reshape(shape) / max(averages - n_input, 1.0)
+        # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
+        whole += _join(residual * np.sqrt(np.outer(level, level)), spread.transpose(0, 3, 4, 1, 2))
+    return without_rounding(whole)
 
 
 def covariance_of_h1(

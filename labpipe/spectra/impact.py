@@ -353,7 +353,7 @@ class _HitAverage:
         self.n_sample = block_samples(source, settings.block, 20)
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
         # The window of the blocks in the end, whoever applied it.
-        self._exponential = np.ones(self.n_sample)
+        self._exponential: FloatArray = np.ones(self.n_sample)
         if settings.damping_window is not None:
             self._exponential = exponential_window(
                 self.n_sample, settings.damping_window * source.sample_rate

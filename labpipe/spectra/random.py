@@ -20,13 +20,12 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import BlockCovariance, Blocks, FactoredCovariance, StoredCovariance
+from labpipe.records.response import BlockCovariance, Blocks, StoredCovariance
 from labpipe.spectra import quality
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import (
     covariance_of_h1,
-    covariance_of_parts,
     covariance_of_random,
     noise_levels,
     pooled_residual,
@@ -289,14 +288,18 @@ def parts_of_spectra(
     response = first if settings.estimator == "H1" else ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
     averages = sum(spectrum.averages for spectrum in spectra)
     covariance: StoredCovariance = None
-    if averages > n_input + 1 and settings.estimator == "H1":
-        covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
-        if len(spectra) > 1:
-            parts = [at_lines(part, chosen) for part in _shares(spectra, layout)]
-            covariance = _by_recordings(covariance, parts, response, [part.averages for part in spectra])
-    elif averages > n_input + 1:
-        instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
-        covariance = covariance_of_random(matrix, response, instruments, averages, half_width)
+    if averages > n_input + 1:
+        parts = (
+            [at_lines(part, chosen) for part in _shares(spectra, layout)] if len(spectra) > 1 else [matrix]
+        )
+        levels = _levels(parts, response, inverse_force, [part.averages for part in spectra])
+        if settings.estimator == "H1" and np.all(levels == 1):
+            covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
+        else:
+            instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
+            covariance = covariance_of_random(
+                matrix, response, instruments, averages, half_width, list(zip(parts, levels.T, strict=True))
+            )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(first, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
@@ -309,28 +312,23 @@ def parts_of_spectra(
     )
 
 
-def _by_recordings(
-    covariance: FactoredCovariance,
+def _levels(
     parts: Sequence[ComplexArray],
     response: ComplexArray,
+    inverse_force: ComplexArray,
     averages: Sequence[float],
-) -> StoredCovariance:
-    """The *covariance* of H1 = *response* where the noise is not alike in all recordings: the sum of R_e
-    times S_uu^-1 S_uu,e S_uu^-1. *parts* (n_line, n_channel, n_channel) [unit^2/Hz] of the spectra, with
-    so many *averages* each.
+) -> FloatArray:
+    """Noise in every recording over that of all (n_output, n_recording); *parts* (n_line, n_channel,
+    n_channel) of the spectra.
     """
     n_input = response.shape[2]
-    free = sum(averages) - n_input
-    inverse_force = covariance.inputs.swapaxes(1, 2) * free
+    if len(parts) == 1:
+        return np.ones((response.shape[1], 1))
     left = [np.einsum("loo->lo", residual_spectrum(part, response)).real for part in parts]
     # A recording with most of the power of a force leaves little beside the common H.
-    own = [inverse_force @ part[:, :n_input, :n_input] for part in parts]
-    taken = [float(np.mean(np.einsum("lii->l", share).real)) for share in own]
-    levels = noise_levels(np.stack(left, axis=2), np.array(averages) - taken)
-    if np.all(levels == 1):
-        return covariance
-    spread = np.stack([(share @ covariance.inputs.swapaxes(1, 2)).swapaxes(1, 2) for share in own], axis=1)
-    return covariance_of_parts(covariance.outputs, spread, levels)
+    own = (np.einsum("lij,lji->l", inverse_force, part[:, :n_input, :n_input]).real for part in parts)
+    taken = [float(np.mean(share)) for share in own]
+    return noise_levels(np.stack(left, axis=2), np.array(averages) - taken)
 
 
 def _parts(
