@@ -4,9 +4,8 @@ noise.
 All channels under periodic excitation: averages over periods, and their covariance from the scatter between
 periods.
 
-With few periods a covariance line by line has few degrees of freedom nu, and weights by it lose efficiency,
-nu/(nu - 2) and more. The noise of the channels does not depend on the excitation, so it is pooled over runs
-where these agree, and over neighbouring lines.
+Weights by a covariance of few degrees of freedom lose efficiency: noise is pooled over runs where these
+agree, and over neighbouring lines.
 """
 
 from __future__ import annotations
@@ -23,8 +22,9 @@ from labpipe.errors import DataError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
+from labpipe.spectra.channels import in_time
+from labpipe.spectra.covariance import SAME_ERRORS, SAME_SHARE
 from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
 from labpipe.spectra.periodic import period_average
@@ -38,8 +38,6 @@ from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 ENOUGH_DOF = 13.0
 # Degrees of freedom beyond which more of them would gain less than a twentieth.
 PLENTY_DOF = 60.0
-# Runs share their noise unless it differs by more than this share and by more standard errors than this.
-SAME_SHARE, SAME_ERRORS = 0.1, 4.0
 
 
 def periodic_lines(
@@ -104,9 +102,7 @@ def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
 
 
 def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
-    """The spectra with their noise averaged over runs that share it, and over *smooth* lines to either side
-    or as many as are needed.
-    """
+    """The spectra with noise averaged over runs that share it and over lines, as many as are needed."""
     # The noise of one period.
     single = [s.noise * s.n_period for s in spectra if s.noise is not None]
     dofs = [spectrum.dof for spectrum in spectra]
@@ -168,19 +164,18 @@ def channel_spectra(
 ) -> ChannelSpectra:
     """The complex amplitudes of all channels of a test, run by run, with their covariance.
 
-    A run is a recording of periodic excitation, or the part of random recordings that is due to one of their
-    drives. A line stays where any force acts in any run; a run need not excite every direction. Raises
-    DataError for recordings that do not fit together, are too short, hold NaN or no force, ConfigError for an
-    excitation other than periodic and random.
+    A run is a recording of periodic excitation, or the part of random ones due to a drive. A line stays where
+    any force acts in any run. DataError for recordings that do not fit together, are too short, hold NaN or
+    no force, ConfigError for an excitation other than periodic and random.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
         what = f"excitation {settings.excitation} gives no spectra side by side"
         raise SettingError("excitation", what, "known: periodic, random")
+    if settings.excitation == "random":
+        sources = in_time(sources)
     sources, short = without_short(sources, settings)
     layout = find_channel_layout(sources)
-    bands = masked_bands(sources, settings)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     cleaned, settings, shaft = without_shaft(sources, settings)
     monitors = [AliasingMonitor(source) for source in cleaned]
     lines = EXCITATIONS[settings.excitation](monitors, settings, layout)
@@ -189,8 +184,7 @@ def channel_spectra(
     acting = np.ones((lines.frequency.size, len(sources)), bool) if lines.acting is None else lines.acting
     excited = [lines.frequency[of_run] for of_run in acting.T]
     shaft = (*shaft, *lines_of_shaft(sources, settings, excited))
-    of_lines = (*mask_findings(bands), *shaft, *aliasing, *lines.findings)
-    findings = (*source_findings(monitors), *short, *of_lines)
+    findings = (*source_findings(monitors), *short, *shaft, *aliasing, *lines.findings)
     return ChannelSpectra(
         frequency=lines.frequency,
         vectors=lines.vectors,

@@ -16,7 +16,7 @@ from labpipe.spectra.shaft import shaft_motion
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the
 # band.
 EDGE = 1e-9
-# A block of fewer samples is read before it is held against the recording, which says more.
+# A period of fewer samples is read before it is held against the recording, which says more.
 MANY_SAMPLES = 1 << 22
 
 
@@ -34,22 +34,33 @@ def lines_in(
     return chosen
 
 
+def block_samples(source: SampleSource, block: float, least: int = 4) -> int:
+    """Samples of a *block* [s] of a recording; DataError for fewer than *least*, and for more than it has."""
+    n_sample = round(block * source.sample_rate)
+    if n_sample < least:
+        what = f"a block of {block:g} s holds {n_sample} samples of '{source.name}', {least} are needed"
+        raise DataError(what, hint="lengthen `block`")
+    if n_sample > source.n_sample:
+        what = f"'{source.name}' is {source.n_sample / source.sample_rate:g} s long"
+        raise DataError(f"{what}, too short for one block of {block:g} s", hint="shorten `block`")
+    return n_sample
+
+
 def line_range(
     n_sample: int, sample_rate: float, band: tuple[float, float] | None, length: int | None = None
 ) -> slice:
     """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0
     Hz.
 
-    Cross-spectra are formed on these lines only. DataError when the band holds no line, and for a long block
-    or period of which the recording of *length* samples does not hold one: before anything of its size is
-    made.
+    Cross-spectra are formed on these lines only. DataError when the band holds no line, and for a long period
+    of which the recording of *length* samples does not hold one: before anything of its size is made.
     """
     if length is not None and n_sample > max(length, MANY_SAMPLES):
         what = (
-            f"a block or period of {n_sample / sample_rate:g} s is longer than the recording of "
+            f"a period of {n_sample / sample_rate:g} s is longer than the recording of "
             f"{length / sample_rate:g} s"
         )
-        raise DataError(what, hint="check `block` or `period`, and the sampling rate")
+        raise DataError(what, hint="check `period` and the sampling rate")
     frequency = np.arange(1, n_sample // 2 + 1) * (sample_rate / n_sample)
     inside = np.flatnonzero(lines_in(frequency, band))
     if not inside.size:
@@ -62,8 +73,6 @@ def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
     low, high = band
     return (frequency >= low * (1 - EDGE)) & (frequency <= high * (1 + EDGE))
 
-
-# Lines of the shaft speed and its harmonics, excluded from a response.
 
 # Half width of the mask [lines]: a window's main lobe for random data; periodic data do not leak where the
 # speed lies on a line.

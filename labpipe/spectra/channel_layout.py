@@ -1,9 +1,8 @@
 """Which channels of several recordings stand in the spectra, how sums are made of them, and what their
 uncertainties do to an FRF: those of the numbers in a sum, and of the calibration of its members.
 
-An output y_o = sum a_m x_m changes by da x_m, and so does its row of H by da G_m, G_m = x_m / u the response
-of the member. A force u_i = sum a_m x_m changes by da x_m = da G_m u, so that H changes by -H e_i da G_m. All
-to first order in the error.
+An output y_o = sum a_m x_m changes by da x_m, its row of H by da G_m, G_m = x_m / u; a force by da G_m u, so
+that H changes by -H e_i da G_m. All to first order in the error.
 """
 
 from __future__ import annotations
@@ -52,9 +51,7 @@ Estimate = Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]
 
 @dataclass(frozen=True)
 class _Effect:
-    """An error by one standard uncertainty of *uncertainty* changes the sum at a port by *slope* w^power
-    times its *member*.
-    """
+    """A standard uncertainty changes the sum at a *port* by *slope* w^power times its *member*."""
 
     uncertainty: Uncertainty
     port: int
@@ -120,9 +117,7 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
 
 
 def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
-    """What the directions of recorded channels do to a sum at a port: a member reads something of the channel
-    across it.
-    """
+    """What the directions of recorded channels do to a sum: a member reads some of the channel across."""
     for number, channel in enumerate(recorded):
         directions = [c.uncertainty for c in channel.uncertainties if c.effect == "direction"]
         if not sensor.terms or not directions:
@@ -146,10 +141,7 @@ def _member_rows(
     n_line: int,
     estimate: Estimate,
 ) -> dict[str, ComplexArray]:
-    """Response (n_line, n_input) [SI unit of the member per unit of the force] of every member.
-
-    That of a force to itself is 1.
-    """
+    """Response (n_line, n_input) [SI] of every member; of a force to itself 1."""
     names = [sensor.name for sensor in layout.input_sensors]
     unit = np.eye(len(names), dtype=np.complex128)
     rows = {
@@ -174,10 +166,6 @@ def _member_rows(
         matrix = parts.matrix * of_members.sensor_factor(parts.frequency)
         rows |= {member: matrix[:, number] for number, member in enumerate(others)}
     return rows
-
-
-# Channels of several recordings side by side: which of them stand in the spectra, and how sums are made of
-# them line by line.
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ calibration.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
@@ -100,9 +101,7 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 def _derivative(
     channels: Sequence[Channel], combined: ComplexArray, number: int, uncertainty: ChannelUncertainty
 ) -> tuple[ComplexArray, int]:
-    """The change of the vector per unit of the error, and the power of the angular frequency that goes with
-    it.
-    """
+    """The change of the vector per unit of the error, and the power of w that goes with it."""
     n_channel, n_recorded = combined.shape
     if uncertainty.effect == "direction":
         change = np.zeros((n_recorded, n_channel), np.complex128)
@@ -143,7 +142,46 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     return change
 
 
-# Sums of channels in recordings: where a sum in time holds, and the uncertainty of the numbers in it.
+# Channels that are late, and sums of channels: where a sum in time holds, and its uncertain numbers.
+
+
+class InTime(DerivedRecording):
+    """A recording with its channels moved forward by the whole samples of their delays; satisfies
+    SampleSource.
+
+    A block then holds a response together with its force. What is left of a delay stays that of the channel.
+    """
+
+    def __init__(self, source: SampleSource) -> None:
+        super().__init__(source)
+        delays = np.array([channel.delay for channel in source.channels])
+        late = np.round(source.sample_rate * delays)
+        self._lags = (late - np.min(late)).astype(int)
+        left = np.round(delays - self._lags / source.sample_rate, 12)
+        self.channels = tuple(
+            dataclasses.replace(channel, delay=float(delay)) if lag else channel
+            for channel, delay, lag in zip(source.channels, left, self._lags, strict=True)
+        )
+        self.n_sample = max(source.n_sample - int(np.max(self._lags)), 0)
+
+    def blocks(self, n_sample: int) -> Iterator[FloatArray]:
+        """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
+        most = int(np.max(self._lags))
+        rest: FloatArray = np.empty((0, len(self.channels)))
+        for block in self.source.blocks(n_sample):
+            samples = np.concatenate([rest, block])
+            n = max(samples.shape[0] - most, 0)
+            if n:
+                yield np.column_stack(
+                    [c[lag : lag + n] for c, lag in zip(samples.T, self._lags, strict=True)]
+                )
+            rest = samples[n:]
+
+
+def in_time(sources: Sequence[SampleSource]) -> list[SampleSource]:
+    """The recordings, each InTime where a channel is late by half a sample or more beside another."""
+    moved = [InTime(source) for source in sources]
+    return [new if new.channels != old.channels else old for new, old in zip(moved, sources, strict=True)]
 
 
 def check_in_time(source: SampleSource, used: Iterable[Channel]) -> None:

@@ -82,7 +82,6 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
 def _with_each(
     response: FrequencyResponse, turn: Callable[[ComplexArray], ComplexArray]
 ) -> FrequencyResponse:
-    """The response with H and all that is added to it *turned* alike."""
     beside = {name: getattr(response, name) for name in ("change", "open_loop", "repeats")}
     turned: dict[str, Any] = {name: None if part is None else turn(part) for name, part in beside.items()}
     return dataclasses.replace(
@@ -132,6 +131,8 @@ def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | 
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
 FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
 FORWARD_BACKWARD = ("f", "b")
+# What is known of single elements, or of single channels, alone.
+OF_ELEMENTS = ("coherence", "multiple_coherence", "partial_coherence", "distortion", "snr", "line_gains")
 # Smallest sine of the angle between two directions that span a plane.
 SMALLEST_ANGLE = 1e-3
 
@@ -140,10 +141,9 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance
     (Mendes et al.).
 
-    Rows and columns are labelled f and b. The two outputs and the two forces may point in any two known
-    directions; they are transformed to x and y first. An isotropic rotor has H_fb = H_bf = 0. Coherence and
-    distortion are dropped. Raises DataError unless there are two outputs and two forces in known, different
-    directions. Equation (frf-directional).
+    Rows and columns are labelled f and b. Outputs and forces may point in any two known directions each. An
+    isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. DataError unless there are two
+    outputs and two forces in known, different directions. Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
@@ -155,18 +155,14 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         None if response.covariance is None else without_rounding(turn @ response.covariance @ turn.conj().T)
     )
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
+    nothing: dict[str, Any] = dict.fromkeys(OF_ELEMENTS)
     return dataclasses.replace(
         _with_each(response, lambda values: from_left @ values @ from_right),
         covariance=covariance,
         outputs=ports,
         inputs=ports,
-        coherence=None,
-        multiple_coherence=None,
-        partial_coherence=None,
-        distortion=None,
-        snr=None,
-        line_gains=None,
         snr_channels=(),
+        **nothing,
     )
 
 
@@ -193,7 +189,7 @@ def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     response].
 
     Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors,
-    1993): the backward row is the forward row at negative frequencies. A line at 0 Hz appears twice, as -0
+    1993). A line at 0 Hz appears twice, as -0
     and 0. DataError for a response that is not directional. Equation (frf-two-sided).
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))

@@ -4,6 +4,8 @@ n_input + input).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 
@@ -19,13 +21,14 @@ from labpipe.spectra.matrices import (
 )
 from labpipe.spectra.period_average import neighbourhood_mean
 
-# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: few averages alone tell
-# too little of it.
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines.
 ENOUGH_DOF = 16.0
-# Rounds of the fit of a residual's two parts, each weighted by the last, and standard errors by which a part
-# must exceed zero.
+# Rounds of the fit of a residual's two parts, and standard errors by which a part must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Recordings share their noise unless it differs by more than this share and more standard errors than this.
+# Their levels are compared on lines with the mean of so many to either side.
+SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
 # Numbers of matrices that are made together: a part of the cache.
@@ -38,20 +41,20 @@ def covariance_of_random(
     instruments: ComplexArray,
     averages: float,
     half_width: int = 0,
+    parts: Sequence[tuple[ComplexArray, FloatArray]] = (),
 ) -> ComplexArray:
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1,
     S_rr = [-H, I] S [-H, I]^H.
 
-    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. For H1 (z =
-    u) the second factor is (S_uu^-1)[j, i], and one force and one output give E|H - E H|^2 = (1 - coh^2) /
-    coh^2 |H|^2 / n_e: twice the variance that the textbooks give for the magnitude alone (Bendat and Piersol,
-    Random Data, eq. 9.90: the complex value has two such parts). H2 has the same share of its own, larger
-    |H|^2. Exact for H1, first order in 1 / n_e for the others.
+    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. One force
+    and one output give for H1 twice the variance that textbooks give for the magnitude alone (Bendat and
+    Piersol, Random Data, eq. 9.90). Exact for H1, first order in 1 / n_e for the others.
 
     spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency,
     n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y],
-    see estimators.INSTRUMENTS. The residual's spectrum is averaged over *half_width* lines to either side,
-    where few averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
+    see random.INSTRUMENTS; *parts* that add up to the spectra, with the level (n_output,) of the noise in
+    each. The residual's spectrum is averaged over *half_width* lines to either side, where few averages alone
+    would tell little of it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -59,11 +62,13 @@ def covariance_of_random(
     # B_o^H W_o of every response in rows, so that one product gives the spread of all pairs of responses.
     gain = hermitian(inverse(force_products)) @ instruments
     rows = gain.reshape(n_frequency, -1, gain.shape[3])
-    spread = (rows @ spectra @ hermitian(rows)).reshape(
-        n_frequency, gain.shape[1], n_input, gain.shape[1], n_input
-    )
-    # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
-    return without_rounding(_join(residual, spread.transpose(0, 3, 4, 1, 2) / max(averages - n_input, 1.0)))
+    shape = n_frequency, gain.shape[1], n_input, gain.shape[1], n_input
+    whole = np.zeros((n_frequency, response[0].size, response[0].size), np.complex128)
+    for part, level in parts or [(spectra, np.ones(response.shape[1]))]:
+        spread = (rows @ part @ hermitian(rows)).reshape(shape) / max(averages - n_input, 1.0)
+        # B_p^H S_zz[p, o] B_o stands at [p, j, o, i]; the covariance needs it at [o, i, p, j].
+        whole += _join(residual * np.sqrt(np.outer(level, level)), spread.transpose(0, 3, 4, 1, 2))
+    return without_rounding(whole)
 
 
 def covariance_of_h1(
@@ -103,10 +108,7 @@ def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexA
 
 
 def _join(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
-    """residual[o, p] spread[o, i, p, j] as matrices over o i and p j, (n_frequency, n, n).
-
-    Hermitian where both are.
-    """
+    """residual[o, p] spread[o, i, p, j] as Hermitian matrices over o i and p j."""
     n_frequency, n_output = residual.shape[:2]
     n = n_output * spread.shape[2]
     covariance = lines_last(n_frequency, n, n)
@@ -125,9 +127,9 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     """The residual's spectrum (n_frequency, n_output, n_output) [unit^2/Hz] averaged over *half_width* lines
     to either side.
 
-    Noise of a response is broadband; noise of the force, and hits that are not alike, leave a residual as
-    large as the *response* (n_frequency, n_output, n_input) [unit/N]. Where the latter is significant, lines
-    are averaged relative to a + b |H|^2. Equation (frf-pooled-residual).
+    Where what grows with the *response* (n_frequency, n_output, n_input) [unit/N] is significant, as noise of
+    the force and hits that are not alike do, lines are averaged relative to a + b |H|^2. Equation
+    (frf-pooled-residual).
     """
     if half_width == 0:
         return residual
@@ -142,10 +144,37 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     return mean
 
 
-def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
-    """a + b |H|^2 (n_frequency,) of a residual's *variance* where b is SIGNIFICANT times its standard error,
-    else 1; |H|^2 = *power*.
+def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
+    """Noise of the responses where each force acts over that of all (n_output, n_input) [1], the mean over
+    the lines; 1 where they are alike within the errors of such means.
+
+    *residual* (n_line, n_output, n_input) [any unit] of *dof* (n_input,) complex degrees of freedom per line.
     """
+    every = np.ones(len(residual), bool)
+    # Of single lines a quotient of two estimates would be too large on average.
+    pooled = neighbourhood_mean(residual.sum(axis=2, keepdims=True) / dof.sum(), every, SMOOTH)
+    ratio = np.divide(residual, pooled, out=np.ones_like(residual), where=pooled > 0)
+    known = dof > 0
+    level = ratio.mean(axis=0) / np.where(known, dof, 1.0)
+    error = np.sqrt((1 / np.where(known, dof, 1.0) + 1 / dof.sum()) / residual.shape[0])
+    alike = np.abs(level - 1) < np.maximum(SAME_SHARE, SAME_ERRORS * error)
+    return np.where(alike | ~known, 1.0, np.maximum(level, 0.0))
+
+
+def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: FloatArray) -> ComplexArray:
+    """cov(H_oi, H_pj) = R[o, p] sum_e sqrt(g_oe g_pe) G_e[i, j] (n_line, n, n) [unit^2 of H].
+
+    noise R (n_line, n_output, n_output) [unit^2]; spread G (n_line, n_part, n_input, n_input) [1/N^2] and
+    levels g (n_output, n_part) [1] of parts of the record, see noise_levels.
+    """
+    size = np.sqrt(levels)
+    whole = np.einsum("lop,oe,pe,leij->loipj", noise, size, size, spread, optimize=True)
+    n = noise.shape[1] * spread.shape[2]
+    return without_rounding(whole.reshape(-1, n, n))
+
+
+def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
+    """a + b |H|^2 of a residual's *variance* where b is SIGNIFICANT, else 1; |H|^2 = *power*."""
 
     shape = np.ones_like(variance)
     # A silent response has no power.
@@ -162,14 +191,14 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
 
 
 def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:
-    """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings,
-    N = sum_e (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H.
+    """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings, N = sum_e
+    (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H.
 
-    Noise adds N_e of every recording to Y U^H and U U^H; the error of the inverse takes the part h_e of
-    it back, in first order, which is all where recordings are as many as forces. mean (n_line, n_input +
-    n_output, n_recording) [unit], forces first; inverse (n_line, n_recording, n_input) [1/N] = U^+; noise
-    (n_recording, n_line, n_channel, n_channel) [unit^2]. Y U^+ as it is where the noise is not known, and
-    at lines where it is more than half of the forces. Equation (frf-joined).
+    The error of the inverse takes the part h_e of the noise back, in first order, which is all where
+    recordings are as many as forces. mean (n_line, n_input + n_output, n_recording) [unit], forces first;
+    inverse (n_line, n_recording, n_input) [1/N] = U^+; noise (n_recording, n_line, n_channel, n_channel)
+    [unit^2]. Y U^+ as it is where the noise is not known, and at lines where it is more than half of the
+    forces. Equation (frf-joined).
     """
     n_input = inverse.shape[2]
     response = mean[:, n_input:] @ inverse

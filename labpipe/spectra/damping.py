@@ -39,8 +39,7 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
 
     frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1
     x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey
-    and Guerin 2012), and evaluated at x = -s/dw. A single mode is one pole and therefore exact; s is below
-    the line spacing for all windows that fall to 0.2 % or more within the block. Fewer than 5 lines are
+    and Guerin 2012), and evaluated at x = -s/dw. A single mode is exact. Fewer than 5 lines are
     returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1. Equation
     (frf-undamped).
     """
@@ -69,10 +68,7 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
 def _evaluate(
     flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """The local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n).
-
-    *lines*, *x* (n_line, width).
-    """
+    """Local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n)."""
     size = np.max(np.abs(flat), axis=0)
     neighbours = flat[lines] / np.where(size > 0, size, 1.0)
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
@@ -109,12 +105,7 @@ def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
 
 
 def _centre(gains: ComplexArray, first: IntArray) -> ComplexArray:
-    """Gains (n_line, width, n_output, n_input) [1] of the lines from *first* (n_line,) on, by their distance
-    -HALF_WIDTH ... HALF_WIDTH.
-
-    At the ends of the band, where the neighbours lie to one side, those further off have no place and are
-    left out.
-    """
+    """The gains of lines from *first* on by their distance, at most HALF_WIDTH: at the ends some are lost."""
     n_line, width = gains.shape[:2]
     centred = np.zeros((n_line, 2 * HALF_WIDTH + 1, *gains.shape[2:]), np.complex128)
     place = first[:, None] + np.arange(width) - np.arange(n_line)[:, None] + HALF_WIDTH
@@ -150,9 +141,6 @@ def correlation_matrix(lines: IntArray, correlation: ComplexArray) -> ComplexArr
     distance = lines[:, None] - lines[None, :]
     values: ComplexArray = whole[np.minimum(np.abs(distance), whole.size - 1)]
     return np.where(distance >= 0, values, values.conj())
-
-
-# Resonances of a measured response: peaks, half-power points and damping ratios.
 
 
 @dataclass(frozen=True)

@@ -3,10 +3,10 @@ reference was named.
 
 Random data: what a force does to a response comes after it. In a loop u = r - C y, y = G u + v the estimate
 S_yu / S_uu is (G S_r - C* S_v) / (S_r + |C|^2 S_v), and C* comes before; so does G of a rotor that is
-unstable without its controller. Tested is the part of the impulse response before the force, a few lags left
-out for the ends of the band (Haugh, J. Am. Stat. Assoc. 71, 1976: lags of either sign). Periodic data: what
-does not repeat is noise of sensors, or a force besides, of which the response is G u: by neither is S_wu / G,
-w = y - G u, complex, as it is where v is fed back.
+unstable without its controller. Tested is the part of the impulse response before the force (Haugh, J. Am.
+Stat. Assoc. 71, 1976: lags of either sign). Periodic data: what does not repeat is noise of sensors, or a
+force besides, of which the response is G u: by neither is S_wu / G, w = y - G u, complex, as it is where v is
+fed back.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import definite_inverse, product
 from labpipe.spectra.period_average import LineSpectrum
 from labpipe.spectra.ports import Layout
-from labpipe.spectra.settings import FrfSettings
 
 BIASED = "The FRF is biased towards minus the inverse of the controller by an amount that cannot be known"
 WEIGHTED = (
@@ -34,28 +33,22 @@ WEIGHTED = (
 LEVEL = 1e-3
 # Chance from which a reference that is moved forward is in order: far above that of a feedback hardly seen.
 IN_ORDER = 0.05
-# Samples of every recording that are looked at, so that the test costs little beside a long record's FRF;
-# fewest that tell anything.
+# Most samples of a recording that are looked at, and fewest that tell anything.
 MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
-# Fewest lines of the whole record in the excited band: what averages over HALF_WIDTH lines leave is then
-# small.
+# Fewest lines of the whole record in the excited band.
 FEWEST_LINES = 1000
 # Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the
 # nearest belong to that edge.
 LAGS = range(2, 21)
-# An impulse response before the force of this share of its peak is none: leakage of the record's ends,
-# sensors that differ.
+# Share of its peak that an impulse response may have before the force by leakage, or sensors that differ.
 FLOOR = 0.03
-# Share of the band over which lines fade out at its upper edge: all of it, so that the response of a
-# structure that answers at once (an accelerance, a stiffness) reaches one lag before the force and no
-# further. Share of the record at its ends.
+# Share of the band over which lines fade out: all, so that an accelerance or a stiffness reaches one lag
+# before the force and no further. Share of the record at its ends.
 TAPER, ENDS = 1.0, 0.1
-# Lines to either side over which spectra are averaged, order of the filter that takes a response's resonances
-# out.
+# Lines to either side over which spectra are averaged, order of the filter that takes resonances out.
 HALF_WIDTH, ORDER = 12, 20
-# The excited band ends where the power of the force falls to the first share within a quarter more frequency,
-# unless it stays coherent with the response as by a loop, or to the third share of its peak, the strongly
-# excited one to the fourth.
+# The excited band ends where the force's power falls to the first share within a quarter more frequency, but
+# for one coherent with the response, or to the third share of its peak; that strongly excited to the fourth.
 CLIFF, CLIFF_WIDTH, DARK, DIM, COHERENT = 0.1, 1.25, 1e-4, 0.03, 0.9
 COARSE_BANDS, LOG_BANDS = 200, 60
 # Least share of the lines that the strongly excited band must have of the others.
@@ -67,43 +60,31 @@ LOWEST_EDGE = 0.15
 
 
 def feedback_of_records(
-    sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout
+    sources: Sequence[SampleSource], reference: Sequence[str], forces: Sequence[str], responses: Sequence[str]
 ) -> tuple[Finding, ...]:
-    """A warning where responses come before the forces that should make them, or before what is named as the
-    reference.
+    """A warning where *responses* come before the *forces* that should make them, or before what is named as
+    the *reference*, all by their channels' names.
 
     None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a
     recording are looked at. A reference that was recorded late, with which all is in order once it is moved
     forward, is the warning `reference-lag` instead.
     """
-    columns = []
-    for source, inputs, outputs in zip(sources, layout.input_columns, layout.output_columns, strict=True):
-        names = [channel.name for channel in source.channels]
-        references = [names.index(name) for name in settings.reference if name in names]
-        columns.append((references, [column for column in inputs if column >= 0], list(outputs)))
-    return _feedback(sources, columns, settings.reference)
-
-
-def _feedback(
-    sources: Sequence[SampleSource],
-    columns: Sequence[tuple[list[int], list[int], list[int]]],
-    reference: tuple[str, ...],
-) -> tuple[Finding, ...]:
-    """The warnings on the order of *columns* in each recording: references or else forces, then responses;
-    a reference that only lags is late.
-    """
     chances: dict[str, float] = {}
     late: dict[str, float] = {}
-    for source, (references, forces, responses) in zip(sources, columns, strict=True):
-        samples = _first_samples(source)
-        driving = [n for n in references or forces if np.any(samples[:, n] != samples[0, n])]
-        if not driving or not responses or samples.shape[0] < FEWEST_SAMPLES:
+    for source in sources:
+        samples, names = _first_samples(source), [channel.name for channel in source.channels]
+        references, acting, rows = (
+            [names.index(name) for name in dict.fromkeys(some) if name in names]
+            for some in (reference, forces, responses)
+        )
+        driving = [n for n in references or acting if np.any(samples[:, n] != samples[0, n])]
+        if not driving or not rows or samples.shape[0] < FEWEST_SAMPLES:
             continue
-        name, lag = ", ".join(source.channels[column].name for column in driving), 0
-        before, after = samples[:, driving], samples[:, responses]
+        name, lag = ", ".join(names[column] for column in driving), 0
+        before, after = samples[:, driving], samples[:, rows]
         chance = min(chance_of_order(before, after) * len(sources), 1.0)
-        if references and forces and chance < LEVEL:
-            lag = lag_of_reference(before, samples[:, forces], after)
+        if references and acting and chance < LEVEL:
+            lag = lag_of_reference(before, samples[:, acting], after)
         if lag:
             late[name] = lag / source.sample_rate
         else:
@@ -150,25 +131,7 @@ def _lag_findings(late: dict[str, float]) -> tuple[Finding, ...]:
     )
 
 
-def feedback_of_drives(
-    sources: Sequence[SampleSource], drives: Sequence[str], forces: Sequence[str], responses: Sequence[str]
-) -> tuple[Finding, ...]:
-    """A warning where *drives* of random spectra side by side follow the *responses*, or lag behind the
-    *forces* as well, by their channels' names; as feedback_of_records.
-    """
-    columns = []
-    for source in sources:
-        names = [channel.name for channel in source.channels]
-        driving, acting, rows = (
-            [names.index(name) for name in some if name in names] for some in (drives, forces, responses)
-        )
-        columns.append((driving, acting, rows))
-    return _feedback(sources, columns, tuple(drives))
-
-
-def _findings(
-    chances: dict[str, float], reference: tuple[str, ...], what: str = BIASED
-) -> tuple[Finding, ...]:
+def _findings(chances: dict[str, float], reference: Sequence[str], what: str = BIASED) -> tuple[Finding, ...]:
     named = min(chances, key=lambda name: chances[name], default="")
     if not chances or chances[named] >= LEVEL:
         return ()
@@ -189,20 +152,12 @@ def _findings(
 
 
 def _first_samples(source: SampleSource) -> FloatArray:
-    """At most MOST_SAMPLES of the beginning of a recording, (n_sample, n_channel)."""
     pieces: list[FloatArray] = []
     for block in checked_blocks(source):
         pieces.append(block)
         if sum(piece.shape[0] for piece in pieces) >= MOST_SAMPLES:
             break
-    samples = np.concatenate(pieces)[:MOST_SAMPLES]
-    late = np.round(source.sample_rate * np.array([channel.delay for channel in source.channels])).astype(int)
-    late = late - np.min(late)
-    if not np.any(late):
-        return samples
-    # Channels whose delay is stated are moved forward by it.
-    n = samples.shape[0] - int(np.max(late))
-    return np.column_stack([column[lag : lag + n] for column, lag in zip(samples.T, late, strict=True)])
+    return np.concatenate(pieces)[:MOST_SAMPLES]
 
 
 def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
@@ -230,9 +185,7 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
 
 
 def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scale: float) -> list[float]:
-    """p-values of all pairs in lines first ... last; *scale*: by how much the taper of the record raises
-    variances.
-    """
+    """p-values of all pairs in lines first ... last; *scale*: what the taper raises variances by."""
     first, last = band
     u, y = spectra[:last, :n_input], spectra[:last, n_input:]
     w = np.pi * np.arange(1, last + 1) / last
@@ -262,18 +215,14 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
 
 
 def _fade(w: FloatArray, first: int) -> FloatArray:
-    """Weights of lines at *w* (n_line,): they fade in from line *first* to twice that, and out over TAPER of
-    the band.
-    """
+    """Weights of lines at *w*: in from line *first* to twice that, out over TAPER of the band."""
     upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
     rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
     return np.asarray(upper * 0.5 * (1 - np.cos(np.pi * rising)))
 
 
 def _level(u: ComplexArray) -> FloatArray:
-    """Amplitude of spectra (n_line, n) over bands of equal ratio, (n_line, n): within a few lines a steep
-    spectrum is then flat.
-    """
+    """Amplitude (n_line, n) over bands of equal ratio: divided by it a steep spectrum is flat."""
     n = u.shape[0]
     edges = np.unique(np.round(np.geomspace(1, n + 1, LOG_BANDS)).astype(int)) - 1
     power = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -283,11 +232,7 @@ def _level(u: ComplexArray) -> FloatArray:
 
 
 def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the *lags* before 0 (LAGS.stop,) of an FRF with its *variance* (n_line,) [of the FRF].
-
-    *floor*: standard deviation of a lag beside the noise; *degree* of the slow curve that is left out of
-    account.
-    """
+    """p-value of the *lags* before 0 by an FRF's *variance* (n_line,), but for a slow curve of a *degree*."""
     before = np.array(LAGS)
     lags = lags[LAGS.start :]
     covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
@@ -319,9 +264,7 @@ def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
 
 
 def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
-    """First of the coarse bands (n_band, n_input) and first above, between cliffs in the power of a force
-    that is not coherent beyond.
-    """
+    """First of the coarse bands, and first above, between cliffs in the power of a force."""
     first, last = 0, coarse.shape[0]
     here = np.arange(last)[:, None]
     other = here.T
@@ -341,7 +284,6 @@ def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
 
 
 def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
-    """The largest coherence of a force with a response, (n_line,)."""
     force, largest, conjugate = _average(np.abs(u) ** 2).real, np.zeros(u.shape[0]), u.conj()
     for output in y.T:
         # One response at a time stays in the cache.
@@ -367,9 +309,7 @@ def _average(values: ComplexArray | FloatArray) -> ComplexArray:
 
 
 def _whitening(power: FloatArray) -> ComplexArray:
-    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of the autoregression of a signal with this *power* (n_line,):
-    causal, as its inverse is.
-    """
+    """A(w) = 1 - sum a_k e^{-j w k} (n_line,) of a signal's autoregression: causal, as its inverse."""
     covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
@@ -377,10 +317,7 @@ def _whitening(power: FloatArray) -> ComplexArray:
 
 
 def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
-    """Sum over lines k = 1 ... n of values (n, ...) [any unit] times e^{-j pi k t / n}, at lags t = 0 ...
-
-    *number* - 1, (number, ...).
-    """
+    """Sum over lines k = 1 ... n of values (n, ...) times e^{-j pi k t / n}, t = 0 ... *number* - 1."""
     n = values.shape[0]
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
@@ -428,8 +365,7 @@ def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArra
     G = *response* (n_line,) [SI], which follows from the response by the square root of *gain* (n_line,)
     [1/SI^2], 1 / |u|^2 of one force.
 
-    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). The error
-    of G turns a random force's part of S_yu, by dof S_uu / |u|^2 more of the variance. Equation
+    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation
     (frf-feedback).
     """
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real

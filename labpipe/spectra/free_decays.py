@@ -20,21 +20,17 @@ from labpipe.spectra.ports import left_out, response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 
 BLOCK = 1 << 16
-# A hit makes the response this many times what it was within a period; the rise of a beat from its node stays
-# below 4.
+# A hit makes the response this many times what it was within a period; a beat stays below 4.
 JUMP = 6.0
 # A release from a steady state is where the response was last this share of its largest.
 STILL_FULL = 0.95
-# A decay ends where its rms has come down to this many times that of the quietest stretches, and goes on for
-# this share of its length: an amplitude of the noise's size still says something.
+# A decay ends where its rms is this many times that of the quietest stretches, and this share of it later.
 QUIET, BEYOND = 1.5, 0.5
 # Part of the largest rms below which a channel stands still: no sensor has so little noise.
 STILL = 1e-6
-# Stretches of noise, one after another, that end a decay: longer than the nodes of a beat that still stands
-# out.
+# Stretches of noise in a row that end a decay: longer than the nodes of a beat.
 SILENCE = 8
-# The largest rms over that of the quietest stretches below which nothing decays, and samples of a stretch at
-# least.
+# The largest rms over that of the quietest stretches below which nothing decays, and least samples of one.
 LEAST_RATIO = 4.0
 LEAST_STRETCH = 64
 # Whole periods over which the mean is taken out, so that a drifting rest position is no response.
@@ -44,9 +40,7 @@ LEAST_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class _Levels:
-    """A recording's response, all outputs together, each relative to its rms: size (n_sample,), period and
-    stretch of whole periods [samples], rms of the noise.
-    """
+    """All outputs together, each over its rms; period and stretch [samples], rms of the noise."""
 
     size: FloatArray
     period: int
@@ -100,7 +94,6 @@ def free_decays(
 
 
 def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -> list[tuple[int, int]]:
-    """First sample and end of every decay of a recording (n_sample, n_output)."""
     decay = settings.decay
     if decay.start is not None:
         end = samples.shape[0] if decay.end is None else round(decay.end * rate)
@@ -144,9 +137,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
 
 
 def _period(samples: FloatArray) -> int:
-    """The period [samples] of the strongest line of the velocity: a drift or a step in the displacement is no
-    oscillation.
-    """
+    """The period [samples] of the strongest line of the velocity: a drift or a step is no oscillation."""
     spectrum = np.sum(np.abs(fft.rfft(samples, axis=0)) ** 2, axis=1)
     strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
     return max(2, round(samples.shape[0] / max(strongest, 1)))
@@ -168,10 +159,7 @@ def _swinging(samples: FloatArray, length: int) -> FloatArray:
 
 
 def _rest(samples: FloatArray, length: int) -> FloatArray:
-    """The mean (n_sample, n_output) over *length* samples about every sample.
-
-    Near the ends that of the first or last so many.
-    """
+    """The mean over *length* samples about every sample, near the ends that of the first or last so many."""
     if samples.shape[0] <= length:
         return np.mean(samples, axis=0, keepdims=True)
 

@@ -13,9 +13,9 @@ from scipy import fft
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
-from labpipe.records.recording import SampleSource
+from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance
-from labpipe.spectra.bands import line_range
+from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF
 from labpipe.spectra.damping import (
@@ -32,9 +32,10 @@ from labpipe.spectra.windows import exponential_correlation
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
-# Share of the double-hit level below which the contact has ended; a later rise above that level is a second
-# contact.
+# Share of the double-hit level below which the contact has ended.
 ENDED = 0.5
+# Samples before a hit that tell the offset of its block.
+LEAST_BEFORE = 4
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1
 
@@ -112,17 +113,17 @@ def find_hits(
     where the recording begins if it holds one block only, as an analyser stores it. The recording is read
     twice. DataError for a sample that is no number or a force that does not vary.
     """
-    zero_level = float(np.median(next(iter(source.blocks(READ_SAMPLES)))[:, force]))
+    rest = np.median(next(iter(source.blocks(READ_SAMPLES))), axis=0)
     level = settings.trigger * max(
-        float(np.max(np.abs(block[:, force] - zero_level))) for block in checked_blocks(source)
+        float(np.max(np.abs(block[:, force] - rest[force]))) for block in checked_blocks(source)
     )
     before = round(settings.pretrigger * n_sample)
     latest = source.n_sample - n_sample if source.n_sample - n_sample <= before else source.n_sample
     search, number = HitSearch(force, n_sample, before, len(source.channels), latest), first_number
     for block in checked_blocks(source):
         search.add(block)
-        for start, trigger, samples in search.hits(zero_level, lambda: level):
-            yield judged_hit(number, start, samples, trigger, force, settings)
+        for start, trigger, samples in search.hits(rest[force], lambda: level):
+            yield judged_hit(number, start, samples, trigger, source.channels, settings, rest)
             number += 1
 
 
@@ -135,7 +136,7 @@ def hit_counts(sources: Sequence[SampleSource], settings: FrfSettings) -> list[i
     if reject:
         assert settings.block is not None
         for place, source in enumerate(sources):
-            n_sample = round(settings.block * source.sample_rate)
+            n_sample = block_samples(source, settings.block)
             hits = find_hits(source, check_single_force(source), n_sample, settings.impact)
             counts[place] = sum(1 for _ in hits)
         if max(reject) > sum(counts):
@@ -155,18 +156,25 @@ def of_recordings(settings: FrfSettings, chosen: Iterable[int], counts: Sequence
 
 
 def judged_hit(
-    number: int, start: int, raw: FloatArray, trigger: int, force: int, settings: ImpactSettings
+    number: int,
+    start: int,
+    raw: FloatArray,
+    trigger: int,
+    channels: Sequence[Channel],
+    settings: ImpactSettings,
+    rest: FloatArray,
 ) -> Hit:
     """The hit in a block of samples *raw* (n_sample, n_channel) [SI], with the reason to leave it out.
 
-    *trigger*: sample at which the force in column *force* rises.
+    *trigger*: sample at which the force rises; what comes before tells the offset, or, of less than
+    LEAST_BEFORE samples, the levels *rest* (n_channel,) of the recording.
     """
-    offset = np.median(raw[: max(trigger, 1)], axis=0) if trigger >= 4 else np.zeros(raw.shape[1])
-    samples = raw - offset
+    samples = raw - (np.median(raw[:trigger], axis=0) if trigger >= LEAST_BEFORE else rest)
+    force = columns_of(channels, "input")[0]
     if number in settings.reject:
         fault = "left out by hand"
     elif overloaded(samples).any():
-        fault = f"overload of channel {int(np.argmax(overloaded(samples))) + 1}"
+        fault = f"overload of channel '{channels[int(np.argmax(overloaded(samples)))].name}'"
     elif is_double(samples[:, force], settings.double_hit):
         fault = "double hit"
     else:
@@ -316,12 +324,8 @@ def force_noise_findings(
 
 
 def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
-    """The recordings with a good hit, and their layout: of hits that lie one per file a bad one costs its
-    file only, and what follows an interruption may hold none.
-
-    All recordings where a force would be left without any, which is then refused.
-    """
-    kept = [number for number, average in enumerate(averages) if average.has_hit]
+    """The recordings with a good hit, and their layout; all where a force would be left without any."""
+    kept = [number for number, average in enumerate(averages) if average.n_hit]
     driven = {n for number in kept for n, column in enumerate(layout.input_columns[number]) if column >= 0}
     if len(driven) < len(layout.inputs):
         return averages, layout
@@ -333,9 +337,7 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
 
 
 def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
-    """Lines to either side over which the noise is averaged, and how many lines share one value of it: 1 + 2
-    sum |r_d|^2.
-    """
+    """Lines to either side that the noise is averaged over, and how many share one value of it."""
     shared = 1.0 + 2 * float(np.sum(np.abs(correlation) ** 2))
     return (int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0), shared
 
@@ -347,15 +349,15 @@ class _HitAverage:
         assert settings.block is not None
         self._source, self._settings = source, settings
         self.force = check_single_force(source)
-        self.n_sample = round(settings.block * source.sample_rate)
-        if source.n_sample < self.n_sample:
-            have = source.n_sample / source.sample_rate
-            raise DataError(
-                f"'{source.name}' is {have:g} s long, too short for one block of {settings.block:g} s",
-                hint="shorten `block`",
-            )
-        self._lines = line_range(self.n_sample, source.sample_rate, settings.band, source.n_sample)
+        # Two samples in every tenth, to see whether the response dies away.
+        self.n_sample = block_samples(source, settings.block, 20)
+        self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
+        # The window of the blocks in the end, whoever applied it.
+        self._exponential: FloatArray = np.ones(self.n_sample)
         if settings.damping_window is not None:
+            self._exponential = exponential_window(
+                self.n_sample, settings.damping_window * source.sample_rate
+            )
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
             self._lines = slice(
                 max(1, self._lines.start - HALF_WIDTH),
@@ -364,7 +366,7 @@ class _HitAverage:
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
-        self._n_hit = self.n_found = 0
+        self.n_hit = self.n_found = 0
         # Mean power of the force's noise at the lines, summed over the hits.
         self._noise = 0.0
         self._origins: list[float] = []
@@ -378,47 +380,38 @@ class _HitAverage:
         self.n_found += 1
         if hit.fault:
             at = hit.start / self._source.sample_rate
-            fault = hit.fault
-            what, _, column = fault.rpartition(" ")
-            if column.isdigit():
-                fault = f"{what} '{self._source.channels[int(column) - 1].name}'"
-            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {fault}"
+            message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {hit.fault}"
             self.findings.append(note("hit-rejected", message))
             return
         samples = self._window(hit)
         amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
-        self._n_hit += 1
+        self.n_hit += 1
         self._noise += self._noise_power(hit)
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def _window(self, hit: Hit) -> FloatArray:
-        rate, impact = self._source.sample_rate, self._settings.impact
         samples = hit.samples.copy()
-        if impact.force_window is not None:
-            samples[:, self.force] *= force_window(self.n_sample, hit.trigger, impact.force_window * rate)
-        if impact.decay is not None:
-            samples *= exponential_window(self.n_sample, impact.decay * rate)[:, None]
+        samples[:, self.force] *= self._force_window(hit)
+        if self._settings.impact.decay is not None:
+            samples *= self._exponential[:, None]
         self._note_slow(samples)
         return samples
 
+    def _force_window(self, hit: Hit) -> FloatArray:
+        length = self._settings.impact.force_window
+        if length is None:
+            return np.ones(self.n_sample)
+        return force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
+
     def _noise_power(self, hit: Hit) -> float:
-        """Mean |X|^2 over the lines of the noise of the force under its windows, by what the hammer shows in
-        the second half of what follows the hit.
-        """
-        rate, length = self._source.sample_rate, self._settings.impact.force_window
-        decay = self._settings.damping_window
+        """Mean |X|^2 of the force's noise under its windows, by the second half of what follows the hit."""
         rest = hit.samples[(self.n_sample + hit.trigger) // 2 :, self.force]
         ends = np.array([self._lines.start, self._lines.stop]) * rest.size // self.n_sample
         lines = slice(ends[0], ends[1] + 1)
         power = float(np.mean(np.abs(fft.rfft(rest - np.mean(rest))[lines]) ** 2)) / rest.size
-        window = np.ones(self.n_sample)
-        if length is not None:
-            window *= force_window(self.n_sample, hit.trigger, length * rate)
-        if decay is not None:
-            window *= exponential_window(self.n_sample, decay * rate)
-        return power * float(np.sum(window**2))
+        return power * float(np.sum((self._force_window(hit) * self._exponential) ** 2))
 
     def force_noise(self) -> FloatArray:
         """Relative error (n_line,) [1] of the mean force by its noise that is alike at many lines: its share
@@ -426,7 +419,7 @@ class _HitAverage:
         the short window leaves, which lines nearer than its inverse share.
         """
         share = self._noise / np.maximum(self._sum[:, self.force, self.force].real, np.finfo(float).tiny)
-        return share if self._settings.impact.force_window is None else np.sqrt(share / (2 * self._n_hit))
+        return share if self._settings.impact.force_window is None else np.sqrt(share / (2 * self.n_hit))
 
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
@@ -444,7 +437,7 @@ class _HitAverage:
 
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
-        if not self._n_hit:
+        if not self.n_hit:
             reason = "no hit whose block is complete"
             if self.n_found:
                 reason = f"{self.n_found} hit(s) found, none of them good"
@@ -453,14 +446,14 @@ class _HitAverage:
             raise DataError("; ".join(what), hint=hint)
         spacing = self._source.sample_rate / self.n_sample
         frequency = np.arange(self._lines.start, self._lines.stop) * spacing
-        return CrossSpectra(frequency, self._sum * (1.0 / self._n_hit), self._n_hit, float(self._n_hit))
+        return CrossSpectra(frequency, self._sum * (1.0 / self.n_hit), self.n_hit, float(self.n_hit))
 
     def with_hits(self, parts: Parts, layout: Layout) -> Parts:
         """The parts with the FRFs of every hit alone, where there are two or more of one force, each with all
         responses.
 
-        Not under an exponential window: neighbouring lines share its noise, which the residual of a fit of
-        one hit does not show, so that errors come out several times too small.
+        Not under an exponential window, whose lines share their noise: errors of one hit would come out too
+        small.
         """
         if self._settings.damping_window is not None:
             return parts
@@ -472,10 +465,6 @@ class _HitAverage:
         alone = np.stack(amplitudes, axis=1)
         hits: ComplexArray = alone[:, :, columns, None] / alone[:, :, self.force, None, None]
         return dataclasses.replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
-
-    @property
-    def has_hit(self) -> bool:
-        return self._n_hit > 0
 
     def slow_finding(self) -> Finding:
         """The warning of responses that ring on at the end of the block."""
@@ -492,12 +481,9 @@ class _HitAverage:
 
         Empty without an exponential window.
         """
-        decay = self._settings.damping_window
-        if decay is None:
+        if self._settings.damping_window is None:
             return np.empty(0, np.complex128)
-        return exponential_correlation(
-            exponential_window(self.n_sample, decay * self._source.sample_rate), float(np.mean(self._origins))
-        )
+        return exponential_correlation(self._exponential, float(np.mean(self._origins)))
 
 
 def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:

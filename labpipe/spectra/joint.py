@@ -4,16 +4,13 @@ of forces and responses.
 Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of that
 line in a fit.
 
-With G = Y / U and w = Y - G U the estimated variance S_ww / |U|^2 of a line is small where noise made |U|
-large. In a loop the noise of U is that of w fed back, so weights by it prefer errors of one sign: E(w U*) =
-C_wu brings the bias of an open-loop estimator back, over the number of averages. Therefore G is taken from
-the neighbours of the line, and U as what is most likely if that G is right.
+The variance S_ww / |U|^2 of a line is small where noise made |U| large; in a loop that noise is w = Y - G U
+fed back, so that weights by it prefer errors of one sign. Therefore G is taken from the neighbours of the
+line, and U as what is most likely if that G is right.
 
-In a loop u = r - C y, y = G u + v the force u holds the disturbance v, so that H1 = S_yu S_uu^-1 goes to (G
-S_r - C* S_v) / (S_r + |C|^2 S_v), to -1 / C without r. Since r knows nothing of v, G = S_yr S_ur^-1 does not
-(Ljung, System Identification, 1999, chapter 13). With w = y - G u and n averages, cov(G_oi, G_pj) = S_ww[o,
-p] (S_ur^-H S_rr S_ur^-1)[j, i] / n. Periodic data need no other average: what the periods share is due to r,
-and the covariance of force and response together holds what v makes of both.
+H1 and G by the reference, S_yr S_ur^-1, are on the page of theory on responses (Ljung, System Identification,
+1999, chapter 13). Periodic data need no other average: what the periods share is due to r, and the covariance
+of force and response together holds what v makes of both.
 """
 
 from __future__ import annotations
@@ -25,14 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import DataError, SettingError
+from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
-from labpipe.spectra.random import change_of_random, joined_spectra, welch_average
+from labpipe.spectra.random import blocks_of, change_of_random, joined_spectra, welch_average
 from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
@@ -76,10 +73,7 @@ def _inverse(forces: ComplexArray) -> ComplexArray:
 
 
 def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> ComplexArray:
-    """G of every line by a straight line through its neighbours, without itself.
-
-    Its own where these are too few.
-    """
+    """G of every line by a straight line through its neighbours, its own where these are too few."""
     flat = matrix.reshape(frequency.size, -1)
     count, first, second = (np.zeros(frequency.size) for _ in range(3))
     total, moment = np.zeros_like(flat), np.zeros_like(flat)
@@ -101,8 +95,7 @@ def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> C
 
 
 ESTIMATOR = "joint"
-# A force's part that is due to the references, over the standard deviation of that part, below which a ratio
-# to it is no longer normal.
+# A force's part due to the references, over its standard deviation, below which a ratio to it is not normal.
 LOW_SNR = 5.0
 # Lines next to one that share its noise by the window (0.44 of it, of a Hann window; 0.03 two lines away).
 GAP = 1
@@ -149,7 +142,6 @@ def joint_estimate(
 
 
 def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
-    """Signal over noise of the combination of forces that the references move least, (n_line,)."""
     moved = forces @ hermitian(forces)
     white = np.linalg.inv(np.linalg.cholesky(moved + noise + np.finfo(float).tiny * np.eye(forces.shape[1])))
     share = np.clip(np.linalg.eigvalsh(white @ moved @ hermitian(white))[:, 0], 0.0, 1.0)
@@ -167,6 +159,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     halved = [welch_average(source, settings) for source in sources]
     spectra = [spectrum for spectrum, _ in halved]
     chosen, n = lines_left(spectra[0].frequency, settings), len(references)
+    frequency = spectra[0].frequency[chosen]
     averages = sum(spectrum.averages for spectrum in spectra)
     if averages <= n + 2:
         hint = "record longer, or shorten `block`"
@@ -174,8 +167,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         raise DataError(what, hint=hint)
     matrix = joined_spectra(spectra, whole)[chosen]
     estimate = joint_estimate(matrix, references, n_input, averages)
-    findings = _strength_findings(estimate, spectra[0].frequency[chosen], settings, layout)
-    frequency = spectra[0].frequency[chosen]
+    findings = _strength_findings(estimate, frequency, settings, layout)
     covariance = covariance_by_neighbours(
         frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP
     )
@@ -184,8 +176,6 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     def response_of(part: ComplexArray) -> ComplexArray:
         return joint_estimate(part, references, n_input, averages / 2).matrix
 
-    assert settings.block is not None
-    n_block = sum(spectrum.n_block for spectrum in spectra)
     return Parts(
         frequency=frequency,
         matrix=estimate.matrix,
@@ -194,14 +184,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         dof=averages - n,
         findings=(*findings, open_loop_note(frequency, estimate.matrix, covariance, open_loop)),
         line_correlation=spectra[0].line_correlation,
-        blocks=Blocks(
-            settings.block,
-            settings.window,
-            settings.overlap,
-            n_block,
-            ESTIMATOR,
-            derivatives=layout.derivatives,
-        ),
+        blocks=blocks_of(spectra, settings, ESTIMATOR, layout.derivatives),
         change=change_of_random(halved, whole, chosen, response_of, n + 2),
         open_loop=open_loop,
     )
@@ -211,13 +194,7 @@ def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> 
     """ConfigError unless the references are channels of the recordings outside of the FRF, DataError for a
     recording without any.
     """
-    roles = {channel.name: channel.role for source in sources for channel in source.channels}
-    check_recorded(settings.reference, list(roles))
-    for name in settings.reference:
-        if roles[name] != "reference":
-            part = "force" if roles[name] == "input" else "response"
-            what = f"'{name}' is a {part} of the FRF; the reference is injected into the loop from outside"
-            raise SettingError("reference", what, "record it, and give it role: reference in the rig file")
+    check_recorded(settings.reference, sources)
     for source in sources:
         if not {channel.name for channel in source.channels} & set(settings.reference):
             listed = ", ".join(settings.reference)

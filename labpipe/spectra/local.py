@@ -1,12 +1,10 @@
 """Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of
 frequency.
 
-Local rational method: around a line the FRF has a pole of its own, so that sharp resonances leave nothing in
-the residual.
-
-A(r) Y(k + r) = B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th
-IFAC Symposium on System Identification, "Non-parametric frequency response estimation using a local rational
-model"; here linear in its coefficients).
+Local rational method: the FRF has a pole of its own, so that sharp resonances leave nothing. A(r) Y(k + r) =
+B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th IFAC Symposium on
+System Identification, "Non-parametric frequency response estimation using a local rational model"; here
+linear in its coefficients).
 """
 
 from __future__ import annotations
@@ -17,12 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
+from labpipe.spectra.bands import block_samples
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.covariance import covariance_of_parts, noise_levels
+from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.settings import FrfSettings
 
@@ -59,21 +59,31 @@ def freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
 
 
 def local_polynomials(
-    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
+    forces: ComplexArray,
+    responses: ComplexArray,
+    degree: int,
+    half_width: int,
+    recordings: IntArray | None = None,
 ) -> LocalFit:
     """Y(k + r) = (sum_s G_s r^s) U(k + r) + sum_s T_s r^s + V for r = -n ... n in every block: G common,
     leakage T of each block alone.
 
     forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without
     window; the first and the last half_width lines have no window of their own and are left out. H(k) = G_0;
-    its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual. Equation
-    (frf-local-polynomial).
+    its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual, at the level
+    that it has in each of the *recordings* (n_block,), numbers from 0 on. Equation (frf-local-polynomial).
     """
-    parts = [_window_fits(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
-    matrix, covariance, coherence, condition, weights = (
+    recorded = np.zeros(len(forces), np.int64) if recordings is None else recordings
+    blocks_of = np.eye(recorded.max() + 1)[recorded]
+    parts = [
+        _window_fits(u, y, degree, half_width, blocks_of) for u, y in _pieces(forces, responses, half_width)
+    ]
+    matrix, noise, spread, left, coherence, condition, weights = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     dof = freedom(forces.shape[0], forces.shape[2], degree, half_width)
+    levels = noise_levels(left, blocks_of.mean(axis=0) * dof / (2 * half_width + 1))
+    covariance = covariance_of_parts(noise, spread, levels)
     return LocalFit(matrix, covariance, coherence, _correlation(weights[:CORRELATED]), condition, dof)
 
 
@@ -90,9 +100,7 @@ def _pieces(
 def _windows(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Of the lines around every line (n_line, n_block, width, n): the forces times powers of the distance,
-    and the responses; and an orthonormal basis of those powers (width, degree + 1).
-    """
+    """Around every line forces times powers of the distance, responses, a basis of those powers."""
     powers = (np.arange(-half_width, half_width + 1) / half_width)[:, None] ** np.arange(degree + 1)
     u, y = (
         np.lib.stride_tricks.sliding_window_view(s, 2 * half_width + 1, axis=1).transpose(1, 0, 3, 2)
@@ -103,10 +111,10 @@ def _windows(
 
 
 def _window_fits(
-    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
-) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, ComplexArray]:
-    """Matrix, covariance, multiple coherence, condition, and weights (n_line, n_input, n_block, 2 n + 1) of
-    the noise of every line.
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int, blocks_of: FloatArray
+) -> tuple[ComplexArray, ...]:
+    """Matrix, noise, spread and power left by recording, coherence, condition, weights (n_line, n_input,
+    n_block, 2 n + 1).
     """
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
@@ -124,32 +132,28 @@ def _window_fits(
     gain = gain[:, :n_input] / scale.swapaxes(1, 2)[:, :n_input]
     dof = freedom(n_block, n_input, degree, half_width)
     noise = (residual.swapaxes(1, 2) @ residual.conj()) / dof
-    spread = gain @ hermitian(gain)
-    n = n_input * y.shape[2]
-    covariance = (noise[:, :, None, :, None] * spread[:, None, :, None, :]).reshape(n_line, n, n)
+    weights = gain.reshape(n_line, n_input, n_block, width)
+    spread = np.einsum("libt,ljbt,be->leij", weights, weights.conj(), blocks_of, optimize=True)
+    by_block = np.sum(np.abs(residual.reshape(n_line, n_block, width, -1)) ** 2, axis=2)
+    by_recording = by_block.swapaxes(1, 2) @ blocks_of
     left, whole = np.sum(np.abs(residual) ** 2, axis=1), np.sum(np.abs(y) ** 2, axis=1)
     coherence = 1 - np.divide(left, whole, out=np.ones_like(left), where=whole > 0)
     matrix = (gain @ y).swapaxes(1, 2)
-    weights = gain.reshape(n_line, n_input, n_block, width)
     # Of a force that is smooth over the lines itself nothing but rounding is left beside the leakage.
     left_over = np.min(
         np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1
     )
     condition = np.maximum(np.linalg.cond(gram), 1 / np.maximum(left_over, 1e-150) ** 2)
-    return matrix, without_rounding(covariance), coherence, condition, weights
+    return matrix, noise, spread, by_recording, coherence, condition, weights
 
 
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
-    """Columns (n_line, n_block, width, n) without what the leakage's polynomials (width, degree + 1)
-    explain.
-    """
+    """Columns (n_line, n_block, width, n) without what the leakage's polynomials explain."""
     return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
 
 
 def _correlation(weights: ComplexArray) -> FloatArray:
-    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: the noise of the lines that both windows
-    hold, averaged over the lines.
-    """
+    """Correlation (2 n,) of the errors of lines 1, 2, ... apart: of the noise that both windows hold."""
     width = weights.shape[3]
     size = np.sqrt(np.sum(np.abs(weights) ** 2, axis=(2, 3)))
     unit = weights / np.where(size > 0, size, 1.0)[:, :, None, None]
@@ -172,22 +176,16 @@ class LocalNoise:
     one block.
 
     leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread* (n_line,
-    n_block, n_output) [1]; *dof* complex degrees of freedom of the noise of a line, *width* the number of
-    lines they come from.
+    n_block, n_output) [1]; of_blocks (n_line, n_block, n_output) [output unit^2]: what each block leaves;
+    *dof* complex degrees of freedom of the noise of a line, *width* the number of lines they come from.
     """
 
     noise: ComplexArray
     leakage: ComplexArray
     spread: FloatArray
+    of_blocks: FloatArray
     dof: int
     width: int
-
-
-def noise_freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
-    """Complex degrees of freedom of the residual of one output: as of local polynomials, less one for the
-    pole.
-    """
-    return freedom(n_block, n_input, degree, half_width) - 1
 
 
 def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalNoise:
@@ -199,21 +197,18 @@ def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half
     half_width lines are left out. Equation (frf-local-rational).
     """
     parts = [_around_lines(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
-    noises, leakages, spreads = zip(*parts, strict=True)
-    dof = noise_freedom(forces.shape[0], forces.shape[2], degree, half_width)
-    noise: ComplexArray = np.concatenate(noises)
-    leakage, spread = np.concatenate(leakages), np.concatenate(spreads)
-    return LocalNoise(noise / dof, leakage, spread, dof, 2 * half_width + 1)
+    noise: ComplexArray
+    noise, leakage, spread, of_blocks = (np.concatenate(part) for part in zip(*parts, strict=True))
+    # As of local polynomials, less one for the pole.
+    dof = freedom(forces.shape[0], forces.shape[2], degree, half_width) - 1
+    return LocalNoise(noise / dof, leakage, spread, of_blocks, dof, 2 * half_width + 1)
 
 
 def _around_lines(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int
-) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Sums of the residual's products (n_line, n_output, n_output), leakage and spread (n_line, n_block,
-    n_output).
-    """
-    n_block, _, n_output = responses.shape
-    width = 2 * half_width + 1
+) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray]:
+    """Sums of the residual's products, leakage, spread, power left (n_line, n_block, n_output)."""
+    n_output = responses.shape[2]
     of_forces, y, smooth = _windows(forces, responses, degree, half_width)
     offsets = np.arange(-half_width, half_width + 1) / half_width
     residuals, leakage, spread = [], [], []
@@ -221,22 +216,19 @@ def _around_lines(
         # The output's own column takes the pole: -a r Y on the right side.
         columns = np.concatenate([of_forces, (y[..., output] * offsets)[..., None]], axis=3)
         residual, leaked, variance = _solve(columns, y[..., output], smooth, half_width)
-        residuals.append(residual.reshape(residual.shape[0], n_block * width))
+        residuals.append(residual)
         leakage.append(leaked)
         spread.append(variance)
-    joined = np.stack(residuals, axis=1)
-    return joined @ hermitian(joined), np.stack(leakage, axis=2), np.stack(spread, axis=2)
+    stacked = np.stack(residuals, axis=1)
+    joined, of_blocks = stacked.reshape(*stacked.shape[:2], -1), np.sum(np.abs(stacked) ** 2, axis=3)
+    products = joined @ hermitian(joined)
+    return products, np.stack(leakage, axis=2), np.stack(spread, axis=2), of_blocks.swapaxes(1, 2)
 
 
 def _solve(
     columns: ComplexArray, y: ComplexArray, smooth: FloatArray, middle: int
 ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-    """Least squares of *y* (n_line, n_block, width) by *columns* (n_line, n_block, width, n) and polynomials
-    *smooth* (width, degree + 1).
-
-    Gives residual (n_line, n_block, width), and leakage (n_line, n_block) in the middle of the window with
-    its variance over the noise's.
-    """
+    """Residual of *y* (n_line, n_block, width), leakage in the *middle*, its variance over the noise's."""
     n_line, n_block, width, n = columns.shape
     scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2), keepdims=True))
     columns = columns / np.where(scale > 0, scale, 1.0)
@@ -254,9 +246,6 @@ def _solve(
     return residual[..., 0], of_y - (of_columns @ factors)[..., 0], spread
 
 
-# Recordings of a random excitation -> FRF matrix by the local polynomial method, with the covariance from
-# the local residual.
-
 # Degrees of freedom of the noise of a line that the half width is chosen for, and least that is accepted.
 USUAL_DOF, LEAST_DOF = 8, 2
 # Condition number of the equations of a line above which the forces are not rough enough to tell FRF and
@@ -271,17 +260,12 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     """
     assert settings.block is not None
     rate = sources[0].sample_rate
-    n_sample = round(settings.block * rate)
-    blocks = np.concatenate(
-        [layout.padded(number, _spectra(source, n_sample), 1) for number, source in enumerate(sources)]
-    )
+    n_sample = block_samples(sources[0], settings.block, 8)
+    padded = [layout.padded(e, _spectra(source, settings.block), 1) for e, source in enumerate(sources)]
+    blocks, recordings = np.concatenate(padded), np.repeat(np.arange(len(padded)), [len(p) for p in padded])
     n_input = len(layout.inputs)
     half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
-    if freedom(blocks.shape[0], n_input, settings.degree, half_width) < LEAST_DOF:
-        least = usual_half_width(blocks.shape[0], n_input, settings.degree)
-        raise DataError(
-            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
-        )
+    check_half_width(half_width, blocks.shape[0], n_input, settings.degree)
     frequency = np.arange(1, blocks.shape[1] + 1) * (rate / n_sample)
     inner = frequency[half_width:-half_width]
     if not inner.size:
@@ -293,7 +277,7 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     first, last = int(chosen[0]), int(chosen[-1]) + 1
     around = slice(first, last + 2 * half_width)
     fitted = local_polynomials(
-        blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width
+        blocks[:, around, :n_input], blocks[:, around, n_input:], settings.degree, half_width, recordings
     )
     lines = chosen - first
     if np.any(fitted.condition[lines] > WORST_CONDITION):
@@ -328,16 +312,18 @@ def usual_half_width(n_block: int, n_input: int, degree: int) -> int:
     return next(n for n in range(degree + 1, 10_000) if freedom(n_block, n_input, degree, n) >= USUAL_DOF)
 
 
-def _spectra(source: SampleSource, n_sample: int) -> ComplexArray:
-    """DFT of all whole blocks, (n_block, n_line, n_channel), lines from the first above 0 Hz to the last
-    below half the rate.
-    """
-    if source.n_sample < n_sample or n_sample < 8:
-        have = source.n_sample / source.sample_rate
+def check_half_width(half_width: int, n_block: int, n_input: int, degree: int, n_pole: int = 0) -> None:
+    """DataError for a half width that leaves the noise unknown, beside *n_pole* poles of the FRF."""
+    if freedom(n_block, n_input, degree, half_width) - n_pole < LEAST_DOF:
+        least = n_pole + usual_half_width(n_block, n_input, degree)
         raise DataError(
-            f"'{source.name}' is {have:g} s long, too short for one block of "
-            f"{n_sample / source.sample_rate:g} s"
+            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
         )
+
+
+def _spectra(source: SampleSource, block: float) -> ComplexArray:
+    """DFT of all whole blocks, (n_block, n_line, n_channel), above 0 Hz and below half the rate."""
+    n_sample = block_samples(source, block)
     samples = np.concatenate(list(checked_blocks(source)))
     whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])
     return np.asarray(fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2])

@@ -51,25 +51,19 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
     n = matrix.shape[-1]
     if n > 2:
         return np.linalg.inv(matrix)
-    determinant = (
-        matrix[..., 0, 0]
-        if n == 1
-        else matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
-    )
+    determinant = matrix[..., 0, 0]
+    if n == 2:
+        determinant = determinant * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0]
     if np.any(determinant == 0):
         raise np.linalg.LinAlgError("Singular matrix")
     result = np.empty_like(matrix, np.complex128)
-    if n == 1:
-        np.divide(1.0, matrix, out=result)
-        return result
     reciprocal = 1.0 / determinant
-    for (row, column), (i, j), sign in (
-        ((0, 0), (1, 1), 1),
-        ((0, 1), (0, 1), -1),
-        ((1, 0), (1, 0), -1),
-        ((1, 1), (0, 0), 1),
-    ):
-        np.multiply(matrix[..., i, j], reciprocal if sign > 0 else -reciprocal, out=result[..., row, column])
+    if n == 1:
+        result[..., 0, 0] = reciprocal
+        return result
+    for i, j in np.ndindex(2, 2):
+        sign = 1 if i == j else -1
+        np.multiply(matrix[..., 1 - j, 1 - i], sign * reciprocal, out=result[..., i, j])
     return result
 
 
@@ -77,8 +71,7 @@ def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """The inverses of Hermitian positive definite matrices (n_line, n, n) [any unit], and their pivots
     (n_line, n) [any unit].
 
-    Gauss-Jordan elimination of all lines at once, which needs no exchange of rows; the determinant is the
-    product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
+    The determinant is the product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
     """
     n_line, n = matrix.shape[:2]
     work = lines_last(n_line, n, n)
@@ -102,9 +95,8 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A
     (n_line, n_first, n_first).
 
-    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal, of a few lines
-    at a time, which stay in the cache: no inverse of A, whose condition would enter; exactly Hermitian, and a
-    diagonal that rounding makes negative is 0.
+    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal: the condition of
+    A does not enter; exactly Hermitian, and a diagonal that rounding makes negative is 0.
     """
     n_line, n = matrix.shape[:2]
     rest = lines_last(n_line, n - n_first, n - n_first)
@@ -124,12 +116,7 @@ def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
 
 
 def _eliminate(first: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Columns of all rows as elimination leaves them, and those over their pivots, both (n, n_first, n_line)
-    [any unit].
-
-    *first* (n_line, n, n_first): the first columns of Hermitian matrices, of which what lies below the
-    diagonal is read.
-    """
+    """Columns of all rows as elimination leaves them, and those over their pivots, (n, n_first, n_line)."""
     columns = np.array(first.transpose(1, 2, 0), order="C")
     factors = np.zeros_like(columns)
     for k in range(columns.shape[1]):

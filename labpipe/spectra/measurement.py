@@ -12,9 +12,8 @@ from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, StoredCovariance
-from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channel_layout import sum_errors
-from labpipe.spectra.channels import READ_SAMPLES, columns_of, uncertainty_findings
+from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import hit_counts, impact_parts, of_recordings
@@ -33,15 +32,16 @@ from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciproc
 from labpipe.spectra.random import random_parts
 from labpipe.spectra.random_lines import LOW_SNR
 from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.stepped import stepped_parts
+from labpipe.spectra.stepped import SAME_LINE, stepped_parts
 from labpipe.spectra.swept_sine import sweep_parts
 from labpipe.spectra.synchronous import without_shaft
 
 # Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5
 
-# Excitations whose records show by themselves whether the loop is closed; periods do by what does not repeat.
-RECORDS = ("random", "impact")
+# Excitations whose forces and responses are compared block by block, and whose records show by themselves
+# whether the loop is closed; periods do by what does not repeat.
+BLOCKS = ("random", "impact")
 
 EXCITATIONS: dict[str, Callable[[Sequence[SampleSource], FrfSettings, Layout], Parts]] = {
     "periodic": periodic_parts,
@@ -61,16 +61,19 @@ def measure(
 ) -> FrequencyResponse:
     """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
 
-    Several recordings, for example one per force direction, give one matrix; a force that a recording lacks
-    is zero in it. Memory use does not depend on the recordings' length. Raises DataError for recordings that
-    do not fit together, are too short, hold NaN, or whose forces are not independent; one that is too short
-    for an average, as what follows an interruption, is left out by name beside longer ones of its channels.
+    A force that a recording lacks is zero in it. Memory use does not depend on the recordings' length.
+    DataError for recordings that do not fit together, are too short, hold NaN, or whose forces are not
+    independent; one too short for an average is left out by name beside longer ones of its channels.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
         raise ConfigError(
             f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"
         )
+    if settings.excitation in BLOCKS:
+        for source in sources:
+            check_in_time(source, [channel for channel in source.channels if channel.role != "reference"])
+        sources = in_time(sources)
     sources, short = without_short(sources, settings)
     if settings.realisations:
         responses = [_measure(members, settings, name, conditions) for members in realisations(sources)]
@@ -90,10 +93,11 @@ def _with_repeats(
 ) -> FrequencyResponse:
     """The response with that of every recording alone, where each has all of it; *counts*: of their hits.
 
-    Recordings that alone give no response, or other lines, are no repeats; of a single recording its hits
-    are.
+    Recordings that alone give no response, or other lines, are no repeats, but for one whose hits are all
+    left out beside others; of a single recording its hits are.
     """
     ports = [port.label for port in (*response.outputs, *response.inputs)]
+    spacing = float(np.min(np.diff(response.frequency), initial=response.frequency[0]))
     alone, names, levels = [], [], []
     for number, source in enumerate(sources if len(sources) > 1 else ()):
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
@@ -101,15 +105,19 @@ def _with_repeats(
         try:
             of_one = _measure([source], of_recordings(settings, [number], counts), source.name, None)
         except (LabpipeError, np.linalg.LinAlgError):
+            if settings.excitation == "impact":
+                continue
             return response
-        lines = np.isin(of_one.frequency, response.frequency)
+        # The nearest lines: those of dwells differ by the errors of their frequencies.
+        lines = np.searchsorted((of_one.frequency[1:] + of_one.frequency[:-1]) / 2, response.frequency)
+        apart = float(np.max(np.abs(of_one.frequency[lines] - response.frequency)))
         labels = [port.label for port in (*of_one.outputs, *of_one.inputs)]
-        if labels != ports or lines.sum() != response.frequency.size:
+        if labels != ports or apart > SAME_LINE * spacing:
             return response
         alone.append(of_one.matrix[lines])
         names.append(source.name)
         levels.append(_level(source))
-    if not alone:
+    if len(alone) < 2:
         return response
     return dataclasses.replace(
         response,
@@ -137,9 +145,7 @@ def _of_sensor_places(
     name: str,
     conditions: dict[str, Any] | None,
 ) -> FrequencyResponse:
-    """The response of recordings between which the sensors moved: one for each of their places, joined to one
-    matrix. *counts*: of their hits.
-    """
+    """The responses for each place of the sensors, joined to one matrix; *counts*: of their hits."""
     places: dict[tuple[Any, ...], list[int]] = {}
     for number, source in enumerate(sources):
         place = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "output")
@@ -169,11 +175,13 @@ def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
     layout = find_layout(sources)
-    bands = masked_bands(sources, settings)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
-    loop = feedback_of_records(sources, settings, layout) if settings.excitation in RECORDS else ()
+    forces, responses = (
+        [sensor.name for sensor in sensors] for sensors in (layout.input_sensors, layout.output_sensors)
+    )
+    is_told = settings.excitation in BLOCKS
+    loop = feedback_of_records(sources, settings.reference, forces, responses) if is_told else ()
     monitors = [AliasingMonitor(source, settings.excitation == "impact") for source in sources]
     sources = list(monitors)
     open_loop = EXCITATIONS[settings.excitation]
@@ -181,7 +189,7 @@ def _measure(
     parts = (joint_parts if joint else open_loop)(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
-    of_lines = (*mask_findings(bands), *shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
+    of_lines = (*shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
     findings = (*source_findings(sources), *uncertainty_findings(sources), *of_lines)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
@@ -228,10 +236,7 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
 
 
 def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
-    """The covariance (n_frequency, n, n) of elements times *factor* (n_frequency, n_output, n_input).
-
-    As it is where that is one.
-    """
+    """The covariance of elements times *factor* (n_frequency, n_output, n_input)."""
     if covariance is None or np.all(factor == 1):
         return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
     flat = factor.reshape(factor.shape[0], -1)
@@ -244,9 +249,7 @@ def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovari
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:
-    """Channels of the outputs coherent with the forces: noise alone does not show whether an anti-alias
-    filter was used.
-    """
+    """Outputs coherent with the forces: noise does not tell of an anti-alias filter."""
     n_output = len(layout.outputs)
     if parts.multiple_coherence is not None:
         coherent = np.median(parts.multiple_coherence, axis=0) > EXPLAINED

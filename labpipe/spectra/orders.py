@@ -58,10 +58,6 @@ def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
     return tuple(plane for plane in planes if abs(np.linalg.det(plane.directions)) >= SMALLEST_ANGLE)
 
 
-# Order tracking: amplitude and phase of an order of the shaft speed per segment of a run, forward and
-# backward.
-
-
 @dataclass(frozen=True, kw_only=True)
 class OrderTrack:
     """One order of the outputs: x = Re X exp(j order theta), theta the shaft angle from the tacho pulse.
@@ -91,10 +87,9 @@ def track_order(
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
 
     *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
-    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays of the channels, that of the
-    tacho, and their frequency responses are taken out of the amplitude. DataError when the recording holds no
-    complete segment, not two samples for a turn of the order, or an order outside a channel's frequency
-    response. Equation (run-order).
+    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays, that of the tacho too, and
+    frequency responses of the channels are taken out. DataError without a complete segment, without two
+    samples for a turn of the order, or outside a channel's response. Equation (run-order).
     """
     motion = shaft_motion(source, lines)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
@@ -165,9 +160,7 @@ Segment = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> Iterator[Segment]:
-    """Times (n,) [s], angles (n,) [rad] and samples (n, n_channel) [SI] of consecutive segments of whole
-    revolutions.
-    """
+    """Times [s], angles [rad] and samples (n, n_channel) of consecutive segments of whole revolutions."""
     rest, start = np.empty((0, len(source.channels))), 0
     for block in checked_blocks(source):
         samples = np.concatenate([rest, block])
@@ -185,9 +178,7 @@ def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> It
 
 
 def _total_motion(samples: FloatArray, planes: tuple[Plane, ...]) -> tuple[FloatArray, FloatArray]:
-    """Half the peak-to-peak value of every output (n_output,), and the largest radius of every plane's orbit
-    (n_plane,).
-    """
+    """Half the peak-to-peak value of every output, and the largest radius of every plane's orbit."""
     low, high = samples.min(axis=0), samples.max(axis=0)
     centred = samples - (low + high) / 2
     radii = [
@@ -218,8 +209,6 @@ def _fit(
     row = int(np.searchsorted(orders, order))
     return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size, solution[0]
 
-
-# Waterfall (cascade) spectra of a run, block by block.
 
 MOST_BLOCKS = 40
 

@@ -124,18 +124,13 @@ class RestMotion:
         return np.asarray(np.any(over & (single > rounding), axis=0))
 
 
-# Motion that has not died away when the first of the averaged periods begins: from the differences of
-# neighbouring periods.
-#
-# A rig that starts from rest answers with its steady motion less a free one, which decays by exp(-zeta w_n T)
-# from one period T to the next. The squares of the differences of neighbouring periods then fall
-# exponentially to the level that noise leaves, whereas a drift leaves them as they are. Looked at in groups
-# of lines: free motion stands on a few of them, beside a resonance.
+# A rig that starts from rest answers with its steady motion less a free one. The squares of the differences
+# of neighbouring periods then fall exponentially to the level of noise; in groups of lines, since free motion
+# stands on a few, beside a resonance.
 
 # Groups of lines, the least lines of one, and the differences from which on something can be told.
 GROUPS, GROUP_LINES, FEWEST = 16, 4, 4
-# Chance of a finding on a sound record, and degrees of freedom that the expected scatter counts for beside
-# what is seen.
+# Chance of a finding on a sound record, and degrees of freedom of the expected scatter beside what is seen.
 CHANCE, EXPECTED_DOF = 1e-4, 4.0
 # Logarithm by which squares that fall evenly must do so in all: less is slow noise.
 LEAST_FALL = 3.0
@@ -175,9 +170,8 @@ class Differences:
         """Of the channels *columns* that have not settled: how many more periods to skip, and the decay of
         the motion per period [1].
 
-        By logarithms of the squares, against Student's t at a chance of 1e-4 in all: the first one over the
-        later half, where motion dies away within the record, and their slope, where it does not. Equation
-        (spec-settling).
+        By logarithms of the squares, against Student's t: the first one over the later half, and their slope.
+        Equation (spec-settling).
         """
         if len(self._squares) < FEWEST or not columns:
             return {}
@@ -200,9 +194,7 @@ class Differences:
         return unsettled
 
     def _falling(self, logs: FloatArray) -> BoolArray:
-        """Whether the first of *logs* (n_difference, n_group, n_channel) [1] is far above the later ones, or
-        all fall evenly.
-        """
+        """Whether the first of *logs* (n_difference, n_group, n_channel) is far above others, or all fall."""
         n, half = len(logs), len(logs) - len(logs) // 2
         scatter = EXPECTED_DOF / self._sizes[:, None]
         late = logs[half:]
@@ -242,9 +234,6 @@ def settling_finding(
         "longer before the record begins"
     )
     return (Finding("not-settled", what),)
-
-
-# The average of whole periods.
 
 
 class PeriodAverage:
@@ -335,11 +324,10 @@ class PeriodAverage:
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
     """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h.
 
-    Few periods give few degrees of freedom per line (n_period - 1), too few for weights: a maximum-likelihood
-    fit with weights of 4 degrees of freedom is inefficient and underestimates its standard errors.
-    Measurement noise is broadband, so neighbouring lines share it. A line whose noise in any channel exceeds
-    that of its neighbours (F-test at 0.1 %) is not averaged; of fewer periods than channels its own noise has
-    no inverse, and *with_inverse* what exceeds its neighbours' raises theirs. Equation (spec-smoothed-noise).
+    Few periods give too few degrees of freedom per line for weights; broadband noise is shared by neighbours.
+    A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged; of
+    fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its neighbours'
+    raises theirs. Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
@@ -366,11 +354,7 @@ def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool =
 
 
 def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArray:
-    """Lines whose noise power (n_line, n_channel) equals that of their neighbours, by repeated F-tests.
-
-    A strong line hides weaker ones beside it (leakage of a shaft-speed line, for example), so the test is
-    repeated without the outliers.
-    """
+    """Lines with the noise of their neighbours, by F-tests without outliers, which hide weaker ones."""
     broadband = np.ones(power.shape[0], bool)
     while True:
         neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
@@ -384,10 +368,7 @@ def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArra
 
 
 def _neighbourhood_sum(values: NDArray[Any], half_width: int, centre: bool) -> NDArray[Any]:
-    """Sum over k-h ... k+h along axis 0, truncated at the ends, with or without line k itself (*centre*).
-
-    Term by term: differences of running sums would lose small noise behind one huge line.
-    """
+    """Sum over k-h ... k+h, term by term: running sums would lose small noise behind one huge line."""
     total = values.copy() if centre else np.zeros_like(values)
     for shift in range(1, min(half_width, values.shape[0] - 1) + 1):
         total[shift:] += values[:-shift]

@@ -42,7 +42,7 @@ from labpipe.spectra.period_average import (
 )
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
 from labpipe.spectra.quality import force_inverse, signal_to_noise
-from labpipe.spectra.random import cut_at, rest_of_mean
+from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
@@ -108,9 +108,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
 
 
 def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]) -> list[LineSpectrum]:
-    """The spectra; of single periods with the noise that a period has in other recordings of the same
-    channels, where there are such.
-    """
+    """The spectra, of single periods with the noise of a period in other recordings of the same channels."""
     names = [[channel.name for channel in source.channels] for source in sources]
     completed = []
     for spectrum, here in zip(spectra, names, strict=True):
@@ -161,14 +159,12 @@ def _injected_lines(
 def _change(
     spectra: Sequence[LineSpectrum], halves: Sequence[LineSpectrum | None], lines: BoolArray, layout: Layout
 ) -> ComplexArray | None:
-    """H of the second half of the periods less that of the first, (n_line, n_output, n_input) [output unit /
-    N].
-    """
+    """H of the second half of the periods less that of the first (n_line, n_output, n_input)."""
     first = [half.select(lines) for half in halves if half is not None]
     if len(first) < len(spectra):
         return None
     rest = [
-        rest_of_mean(s.mean, s.n_period, half.mean, half.n_period)
+        (s.mean * s.n_period - half.mean * half.n_period) / (s.n_period - half.n_period)
         for s, half in zip(spectra, first, strict=True)
     ]
     before, after = (
@@ -190,10 +186,7 @@ def _refuse_lines(acting: BoolArray) -> None:
 
 
 def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
-    """Whether every force acts in one of the recordings, (n_line, n_input).
-
-    A line counts where all do, hum in a single one does not.
-    """
+    """Whether every force acts in one of the recordings (n_line, n_input), not hum in one alone."""
     acting = np.zeros((spectra[0].frequency.size, len(layout.inputs)), bool)
     for spectrum, columns in zip(spectra, layout.input_columns, strict=True):
         for number, column in enumerate(columns):
@@ -275,40 +268,32 @@ def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: 
     return (*forces, *responses)
 
 
-# Nonlinear distortion beside noise, from periodic excitation.
-
-
 @dataclass(frozen=True)
 class Distortion:
-    """Levels of one FRF element over frequency (n_frequency,) [Hz], all as standard deviations of one
-    realisation's FRF [its unit].
+    """Levels of an FRF (n_frequency, n_output, n_input) [its unit], deviations those of one realisation.
 
-    gain (n_frequency,): best linear approximation, the mean of the realisations; total: standard deviation
-    between realisations of the phases; noise: standard deviation from the scatter between periods; nonlinear:
-    the excess of total over noise.
+    gain: best linear approximation, the mean of the realisations; total: standard deviation between
+    realisations of the phases; noise: that from the scatter between periods; nonlinear: the excess of total
+    over noise.
     """
 
-    frequency: FloatArray
     gain: ComplexArray
     total: FloatArray
     noise: FloatArray
 
     @property
     def nonlinear(self) -> FloatArray:
-        """sqrt(total^2 - noise^2), (n_frequency,) [unit of the FRF]; 0 where the noise exceeds the total.
+        """sqrt(total^2 - noise^2), (n_frequency, n_output, n_input) [unit of the FRF]; least 0.
 
         Equation (frf-distortion).
         """
         return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
 
-def robust_distortion(
-    realisations: Sequence[FrequencyResponse], output: int = 0, force: int = 0
-) -> Distortion:
+def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
     """Distortion from FRFs of one rig under several random-phase realisations of one excitation.
 
-    Noise scatters from period to period, stochastic nonlinear contributions only from realisation to
-    realisation (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1: the robust method).
+    The robust method (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1).
     DataError for fewer than two realisations, different lines, or FRFs of single periods.
     """
     if len(realisations) < 2:
@@ -324,13 +309,11 @@ def robust_distortion(
                 f"'{other.name}' has no covariance, so its noise level is unknown",
                 hint="record several periods",
             )
-    matrices = np.array([response.matrix[:, output, force] for response in realisations])
-    noise = np.mean(
-        [response.variance[:, output, force] for response in realisations if response.variance is not None],
-        axis=0,
-    )
+    matrices = [response.matrix for response in realisations]
     total = np.var(matrices, axis=0, ddof=1)
-    return Distortion(first.frequency, matrices.mean(axis=0), np.sqrt(total), np.sqrt(noise))
+    return Distortion(
+        _mean_of(realisations, "matrix"), np.sqrt(total), np.sqrt(_mean_of(realisations, "variance"))
+    )
 
 
 # A kind of lines that the force leaves out is looked at from so many on; what moves there is named from this
@@ -382,9 +365,9 @@ def left_out_lines(
     """The lines within the band of those where a force is *acting* (n_line,) at which none does, by kind:
     "odd" and "even" where forces act at odd multiples of 1 / *period* [s] alone, else "".
 
-    Odd multisines answer at even lines by nonlinearity of even order alone, at odd ones left out by that of
-    odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*: forces first, then outputs;
-    *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four lines are left out.
+    Of nonlinearity of even and odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*:
+    forces first, then outputs; *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four
+    lines are left out.
     """
     first, last = np.flatnonzero(acting)[[0, -1]]
     silent = ~acting
@@ -408,9 +391,7 @@ def left_out_lines(
 def _left_out_notes(
     spectra: Sequence[LineSpectrum], lines: BoolArray, matrix: ComplexArray, layout: Layout, period: float
 ) -> tuple[Finding, ...]:
-    """A note for each response and kind of lines that no force acts at, of the recording in which it moves
-    most there. *matrix* (n_chosen, n_output, n_input) at the chosen *lines* (n_line,).
-    """
+    """A note for each response and kind of lines, of the recording in which it moves most there."""
     largest: dict[tuple[str, str], tuple[float, float]] = {}
     frequency = spectra[0].frequency
     whole = (
@@ -443,9 +424,6 @@ def _left_out_notes(
     )
 
 
-# Several phase realisations of a periodic excitation: mean FRF and nonlinear distortion.
-
-
 def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many
     as it has forces.
@@ -474,24 +452,17 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the
     number M of realisations.
 
-    Distortion is averaged over *half_width* lines to either side, as noise is: M realisations give M - 1
-    degrees of freedom per line. Raises as robust_distortion does. Equation (frf-robust).
+    Distortion is averaged over *half_width* lines to either side, as noise is. Raises as robust_distortion
+    does. Equation (frf-robust).
     """
     first, m = responses[0], len(responses)
-    distortion = np.empty(first.matrix.shape)
-    noise = np.empty(first.matrix.shape)
-    for output, force in np.ndindex(first.matrix.shape[1:]):
-        levels = robust_distortion(responses, output, force)
-        # Over lines k-h ... k+h, truncated at the ends.
-        excess = neighbourhood_mean(
-            levels.total**2 - levels.noise**2, np.ones(levels.frequency.size, bool), half_width
-        )
-        distortion[:, output, force] = np.sqrt(np.maximum(excess, 0.0))
-        noise[:, output, force] = levels.noise
-    matrix = _mean_of(responses, "matrix")
+    levels = robust_distortion(responses)
+    every = np.ones(first.n_frequency, bool)
+    excess = neighbourhood_mean(levels.total**2 - levels.noise**2, every, half_width)
+    distortion = np.sqrt(np.maximum(excess, 0.0))
     return dataclasses.replace(
         first,
-        matrix=matrix,
+        matrix=levels.gain,
         covariance=(_mean_of(responses, "covariance") + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
         errors=_mean_errors(responses),
@@ -504,7 +475,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         ),
         findings=(
             *dict.fromkeys(f for response in responses for f in response.findings),
-            _distortion_note(matrix, distortion, noise, m),
+            _distortion_note(levels.gain, distortion, levels.noise, m),
         ),
     )
 

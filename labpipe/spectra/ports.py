@@ -48,9 +48,8 @@ class Layout:
         """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at
         *frequency* (n_line,) [Hz].
 
-        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base: displacement
-        of the one over acceleration of the other is motion over motion. Raises as sensor_response does.
-        Equation (spec-sensor-frf).
+        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base. Raises as
+        sensor_response does. Equation (spec-sensor-frf).
         """
         responses = [
             [sensor_response(sensor, frequency) for sensor in sensors]
@@ -158,13 +157,17 @@ def _ports_of(
     sources: Sequence[SampleSource], role: str
 ) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
     columns = [_columns_of(source, role) for source in sources]
+    keys = list(dict.fromkeys(key for members in columns for key in members))
+    places = [key[:3] for key in keys]
+    for name, *_ in (place for place in places if places.count(place) > 1):
+        what = f"'{name}' has not the same delay and response table in all recordings"
+        raise DataError(what, hint="one test for each chain of that channel")
     if role == "output":
         _check_complete(sources, columns)
-    keys = list(dict.fromkeys(key for members in columns for key in members))
     by_key = {key: s.channels[n] for s, of in zip(sources, columns, strict=True) for key, n in of.items()}
     sensors = tuple(by_key[key] for key in keys)
-    places = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
-    return _ports(sensors), places, sensors
+    numbers = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
+    return _ports(sensors), numbers, sensors
 
 
 def _columns_of(source: SampleSource, role: str) -> dict[Key, int]:
@@ -253,9 +256,6 @@ def without_short(
     return list(itertools.compress(sources, counts)), tuple(left_out(source, why) for source in short)
 
 
-# The result of one excitation's evaluation, common to periodic, random, impact, stepped-sine and sweep
-# excitation.
-
 # Share of lines with low signal-to-noise ratio above which a warning is given.
 POOR_SHARE = 0.1
 # Share of a response's power that the forces explain.
@@ -308,8 +308,7 @@ def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) 
     """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the
     *multiple* coherence (same shape).
 
-    Lines of low coherence alone are no fault: every response has some, beside its resonances and at
-    antiresonances.
+    Lines of low coherence alone are no fault: every response has some.
     """
     total = np.sum(power, axis=0)
     noise = np.divide(
@@ -326,8 +325,6 @@ def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) 
     )
 
 
-# Responses measured one after the other as one FRF matrix.
-
 # Relative tolerance between the frequency axes, which files print with six digits.
 SAME_AXIS = 1e-5
 # What a response has for each element beside H.
@@ -339,8 +336,8 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     several responses.
 
     Rows and columns are in the order of the numbers in their labels. Coherences and covariances stay where
-    all responses have them; the noise of different responses is independent. DataError, with the names of the
-    responses, for an element that is missing or there twice, for frequencies or forms that differ.
+    all responses have them; their noise is independent. DataError for an element that is missing or there
+    twice, for frequencies or forms that differ.
     """
     first = responses[0]
     for response in responses[1:]:
@@ -380,7 +377,7 @@ Place = tuple[IntArray, list[int]]
 def _place(
     responses: Sequence[FrequencyResponse], name: str, places: Sequence[Place], shape: tuple[int, int]
 ) -> Any:
-    """An array by output and input, its last two dimensions, of all responses; None where one has none."""
+    """An array by output and input of all responses; None where one has none."""
     parts = [getattr(response, name) for response in responses]
     if any(part is None for part in parts):
         return None
@@ -393,9 +390,7 @@ def _place(
 def _covariance(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> StoredCovariance:
-    """Covariance (n_frequency, n, n) [unit^2] of all elements, a block for every response where they are
-    alike; None where one has none.
-    """
+    """Covariance of all elements, a block for every response where they are alike."""
     covariances = [
         covariance for covariance in (response.covariance for response in responses) if covariance is not None
     ]

@@ -40,9 +40,8 @@ def _worst_condition(correlation: ComplexArray) -> float:
     """The largest condition number [1] of matrices as in condition_number, or a bound of it that is far below
     what matters.
 
-    Between a determinant d and the smallest of n eigenvalues of mean 1 stands d <= smallest (n / (n - 1))^(n
-    - 1), and the largest is below n: eigenvalues cost ten times a determinant, and are needed only where that
-    bound is large.
+    With the determinant d <= smallest (n / (n - 1))^(n - 1), and the largest of n eigenvalues of mean 1 is
+    below n: eigenvalues cost ten times a determinant.
     """
     n = correlation.shape[1]
     if n > 2:
@@ -121,9 +120,6 @@ def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
         )
 
 
-# Ordinary, multiple and partial coherence: the share of an output's power that is linear in the forces.
-
-
 def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """gamma^2 = |S_yu|^2 / (S_yy S_uu) per output and force, (n_frequency, n_output, n_input) [1].
 
@@ -168,13 +164,11 @@ def partial_coherence(
 
 
 def _explained_power(h1: ComplexArray, s_yu: ComplexArray) -> FloatArray:
-    """The power of every output that the forces explain, the diagonal of H1 S_uy, (n_frequency, n_output)."""
     explained: FloatArray = np.sum(h1.real * s_yu.real + h1.imag * s_yu.imag, axis=2)
     return explained
 
 
 def _square(values: ComplexArray) -> FloatArray:
-    """|z|^2 without the root that abs takes."""
     squared: FloatArray = values.real**2 + values.imag**2
     return squared
 
@@ -184,9 +178,6 @@ def _clip(part: FloatArray, whole: FloatArray) -> FloatArray:
     ratio = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0)
     return np.clip(ratio, 0.0, 1.0, out=ratio)
 
-
-# Test of reciprocity, H_ij = H_ji within the standard errors, as on a structure without rotation and
-# control.
 
 # Neighbouring lines of a windowed spectrum share noise over this many lines.
 SHARED_LINES = 3
@@ -277,8 +268,7 @@ def _p_value(normal: ComplexArray, dof: float) -> float:
     """P(mean ratio at least as large): a gamma distribution with the mean and variance of averaged F(2, 2
     dof) ratios.
 
-    Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e, with n_e = n / (1 + 2 sum |r_k|^2) effective
-    lines, r_k the sample correlation of the differences k lines apart.
+    Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e of n_e = n / (1 + 2 sum |r_k|^2) lines.
     """
     if dof <= 2:
         raise DataError(
@@ -298,8 +288,6 @@ def _p_value(normal: ComplexArray, dof: float) -> float:
     mean = power / normal.size * (1.0 if exact else (dof - 1) / dof)
     return gamma_tail(mean * shape, shape)
 
-
-# Aliasing check: power density just below half the sampling rate against that in the band.
 
 # Length of the segment analysed in every block [samples].
 SEGMENT = 1024
@@ -360,9 +348,8 @@ def aliasing_findings(
     """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth of
     that in the band.
 
-    Components above half the sampling rate fold back to just below it first; behind an anti-alias filter
-    neither is strong. The powers of all recordings are added, since an output that a force does not excite
-    holds noise only. Force channels are left out by the caller: they are often white by design.
+    Components above half the sampling rate fold back to just below it first. The powers of all recordings are
+    added: an output that a force does not excite holds noise only.
     """
     total: dict[str, FloatArray] = {}
     for source in sources:

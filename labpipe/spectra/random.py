@@ -1,15 +1,12 @@
 """Recordings of a random excitation -> FRF matrix: H1, H2, Hv from Welch's averages, with coherence and
 covariance.
 
-FRF estimators H1, H2, Hv from the cross-spectral matrix. ESTIMATORS and INSTRUMENTS by name.
-
 Frequency is axis 0. S_uu (n_frequency, n_input, n_input), S_yu = E[Y U*] (n_frequency, n_output, n_input),
 S_yy (n_frequency, n_output, n_output); the result is (n_frequency, n_output, n_input).
 
-Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]. The instruments
-determine how noise propagates, so the covariance needs them. INSTRUMENTS gives W (n_frequency, n_output,
-n_input, n_input + n_output) from the response and the power of all channels, forces first (n_frequency,
-n_input + n_output); n_output is 1 where all outputs share them.
+Every estimator solves E[(y_o - H_o u) z_o^H] = 0 for its own instruments z_o = W_o [u; y]: INSTRUMENTS gives
+W (n_frequency, n_output, n_input, n_input + n_output) from the response and the power of all channels, forces
+first (n_frequency, n_input + n_output); n_output is 1 where all outputs share them.
 """
 
 from __future__ import annotations
@@ -20,14 +17,20 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import BlockCovariance, Blocks, StoredCovariance
 from labpipe.spectra import quality
-from labpipe.spectra.bands import line_range
+from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random, pooled_residual
+from labpipe.spectra.covariance import (
+    covariance_of_h1,
+    covariance_of_random,
+    noise_levels,
+    pooled_residual,
+    residual_spectrum,
+)
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
@@ -66,8 +69,7 @@ def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     and output alike.
 
     Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the
-    line, so that the result does not depend on units: in metres the unscaled form would collapse to H1.
-    Equation (frf-hv).
+    line, so that the result does not depend on units. Equation (frf-hv).
     """
     n_input = s_uu.shape[1]
     force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
@@ -86,21 +88,8 @@ def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
     return np.stack(columns, axis=1)
 
 
-def forces_as_instruments(
-    response: ComplexArray,
-    power: FloatArray,  # noqa: ARG001 (one signature for the table)
-) -> ComplexArray:
-    """z = u, the measured forces, for H1: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
-    return _chosen_channels(response, 0)
-
-
-def responses_as_instruments(response: ComplexArray, power: FloatArray) -> ComplexArray:  # noqa: ARG001
-    """z = y, the measured outputs, for H2: W (n_frequency, 1, n_input, n_input + n_output) [1]."""
-    return _chosen_channels(response, response.shape[2])
-
-
 def _chosen_channels(response: ComplexArray, first: int) -> ComplexArray:
-    """W = [0 I 0], the same at every line and for every output."""
+    """z = u or y, from the channel *first* on: W = [0 I 0] at every line and for every output."""
     n_frequency, n_output, n_input = response.shape
     chosen = np.eye(n_input, n_input + n_output, first, dtype=np.complex128)
     return np.broadcast_to(chosen, (n_frequency, 1, *chosen.shape))
@@ -134,12 +123,10 @@ ESTIMATORS: dict[str, Callable[[ComplexArray, ComplexArray, ComplexArray], Compl
     "Hv": hv,
 }
 INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
-    "H1": forces_as_instruments,
-    "H2": responses_as_instruments,
+    "H1": lambda response, _: _chosen_channels(response, 0),
+    "H2": lambda response, _: _chosen_channels(response, response.shape[2]),
     "Hv": adjusted_forces_as_instruments,
 }
-
-# The first and the second half of a record: what changed between them drifts, or has not settled.
 
 # A record of which the spectra of the whole and of its first half are known; None where that is too short. Of
 # the half the columns of the forces may be all there is.
@@ -169,20 +156,31 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
     Or (n_line, n_channel, n_input), where they are those of all channels with the forces that act in each
     recording.
     """
-    n_block = sum(spectrum.n_block for spectrum in spectra)
     if len(spectra) == 1:
         return _pad(layout, 0, spectra[0].matrix)
-    joined: ComplexArray = np.sum(
-        [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)], axis=0
-    )
+    joined: ComplexArray = np.sum(_shares(spectra, layout), axis=0)
     return joined
 
 
-def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
-    """The *matrix* of all channels, or of all channels with the acting forces, in the order of the layout.
+def _shares(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
+    """What each recording adds to joined_spectra."""
+    n_block = sum(spectrum.n_block for spectrum in spectra)
+    return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
-    Zero for an absent force.
-    """
+
+def blocks_of(
+    spectra: Sequence[CrossSpectra], settings: FrfSettings, estimator: str, derivatives: int = 0
+) -> Blocks:
+    """The blocks averaged to *spectra* by an *estimator*, *derivatives* as of the layout."""
+    assert settings.block is not None
+    number = sum(spectrum.n_block for spectrum in spectra)
+    return Blocks(
+        settings.block, settings.window, settings.overlap, number, estimator, derivatives=derivatives
+    )
+
+
+def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
+    """The *matrix* of all channels, or with the acting forces, in the layout's order; 0 for an absent one."""
     if matrix.shape[1] == matrix.shape[2]:
         return layout.padded(recording, matrix, 2)
     rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
@@ -192,16 +190,6 @@ def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
     padded = np.zeros((*rows.shape[:2], acting.size), np.complex128)
     padded[:, :, acting] = rows
     return padded
-
-
-def acting_forces(layout: Layout, recording: int, estimator: str) -> list[int] | None:
-    """The channels of the forces in a recording, whose columns are all that H1 needs of a half.
-
-    None for another *estimator*.
-    """
-    return (
-        [column for column in layout.input_columns[recording] if column >= 0] if estimator == "H1" else None
-    )
 
 
 def change_of_random(
@@ -251,17 +239,6 @@ def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], Compl
     return response_of
 
 
-def rest_of_mean(mean: ComplexArray, count: int, part: ComplexArray, part_count: int) -> ComplexArray:
-    """Mean (n_line, n_channel) [unit of the channel] of *count* values of that *mean* without *part_count*
-    values of the mean *part*.
-    """
-    rest: ComplexArray = (mean * count - part * part_count) / (count - part_count)
-    return rest
-
-
-# Recordings of a random excitation -> FRF matrix by Welch's averages, with coherence and covariance.
-
-
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings, or by local polynomials.
 
@@ -269,21 +246,16 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     """
     if settings.local == "polynomial":
         return local_parts(sources, settings, layout)
+    # The columns of the acting forces are all that H1 needs of a half.
+    of_half = [
+        [column for column in columns if column >= 0] if settings.estimator == "H1" else None
+        for columns in layout.input_columns
+    ]
     halved = [
-        welch_average(source, settings, acting_forces(layout, number, settings.estimator))
-        for number, source in enumerate(sources)
+        welch_average(source, settings, columns) for source, columns in zip(sources, of_half, strict=True)
     ]
     spectra = [whole for whole, _ in halved]
-    assert settings.block is not None
-    n_block = sum(spectrum.n_block for spectrum in spectra)
-    blocks = Blocks(
-        settings.block,
-        settings.window,
-        settings.overlap,
-        n_block,
-        settings.estimator,
-        derivatives=layout.derivatives,
-    )
+    blocks = blocks_of(spectra, settings, settings.estimator, layout.derivatives)
     parts = parts_of_spectra(spectra, settings, layout)
     n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
     change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
@@ -316,11 +288,18 @@ def parts_of_spectra(
     response = first if settings.estimator == "H1" else ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
     averages = sum(spectrum.averages for spectrum in spectra)
     covariance: StoredCovariance = None
-    if averages > n_input + 1 and settings.estimator == "H1":
-        covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
-    elif averages > n_input + 1:
-        instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
-        covariance = covariance_of_random(matrix, response, instruments, averages, half_width)
+    if averages > n_input + 1:
+        parts = (
+            [at_lines(part, chosen) for part in _shares(spectra, layout)] if len(spectra) > 1 else [matrix]
+        )
+        levels = _levels(parts, response, inverse_force, [part.averages for part in spectra])
+        if settings.estimator == "H1" and np.all(levels == 1):
+            covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
+        else:
+            instruments = INSTRUMENTS[settings.estimator](response, np.einsum("faa->fa", matrix).real)
+            covariance = covariance_of_random(
+                matrix, response, instruments, averages, half_width, list(zip(parts, levels.T, strict=True))
+            )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(first, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
@@ -331,6 +310,25 @@ def parts_of_spectra(
         if n_input > 1
         else None,
     )
+
+
+def _levels(
+    parts: Sequence[ComplexArray],
+    response: ComplexArray,
+    inverse_force: ComplexArray,
+    averages: Sequence[float],
+) -> FloatArray:
+    """Noise in every recording over that of all (n_output, n_recording); *parts* (n_line, n_channel,
+    n_channel) of the spectra.
+    """
+    n_input = response.shape[2]
+    if len(parts) == 1:
+        return np.ones((response.shape[1], 1))
+    left = [np.einsum("loo->lo", residual_spectrum(part, response)).real for part in parts]
+    # A recording with most of the power of a force leaves little beside the common H.
+    own = (np.einsum("lij,lji->l", inverse_force, part[:, :n_input, :n_input]).real for part in parts)
+    taken = [float(np.mean(share)) for share in own]
+    return noise_levels(np.stack(left, axis=2), np.array(averages) - taken)
 
 
 def _parts(
@@ -362,17 +360,12 @@ def _parts(
 
 def block_average(source: SampleSource, settings: FrfSettings, n_channel: int) -> WelchAverage:
     """The average of *n_channel* channels over the blocks of the settings, to be fed with the samples of a
-    recording; DataError for a block that holds hardly any.
+    recording. Raises as block_samples and line_range.
     """
     assert settings.block is not None
-    n_sample = round(settings.block * source.sample_rate)
-    if n_sample < 4:
-        raise DataError(
-            f"a block of {settings.block:g} s holds {n_sample} samples of '{source.name}'",
-            hint="lengthen `block`",
-        )
+    n_sample = block_samples(source, settings.block)
     step = max(1, round(n_sample * (1 - settings.overlap)))
-    lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
+    lines = line_range(n_sample, source.sample_rate, settings.band)
     return WelchAverage(window_values(settings.window, n_sample), step, n_channel, lines, settings.detrend)
 
 
@@ -403,9 +396,7 @@ def welch_average(
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros in the rows of the other channels, and in their columns where those of all are
-    there.
-    """
+    """The spectra with zeros for the other channels."""
     if len(columns) == n_channel:
         return spectra
     n_line, _, n_column = spectra.matrix.shape
@@ -424,10 +415,11 @@ def parts_of_single_forces(
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
     numbers of blocks.
 
-    The noise of the responses, S_yy - H S_uy, is common to all columns, and averaged over *half_width* lines
-    around. DataError for a force without power.
+    The noise of the responses, S_yy - H S_uy, is that of all recordings, averaged over *half_width* lines
+    around, and raised or lowered where a force's own recordings have another level. DataError for a force
+    without power.
     """
-    power, s_yu, s_yy = _sum(spectra, chosen, layout)
+    power, s_yu, s_yy, own = _sum(spectra, chosen, layout)
     quality.check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
@@ -435,7 +427,9 @@ def parts_of_single_forces(
     if averages > n_input + 1:
         residual = without_rounding(s_yy - response @ hermitian(s_yu))
         covariance = _covariance(
-            pooled_residual(residual, response, half_width), power * (averages - n_input)
+            pooled_residual(residual, response, half_width),
+            power * (averages - n_input),
+            noise_levels(own - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout) - 1),
         )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
@@ -447,13 +441,14 @@ def parts_of_single_forces(
 
 def _sum(
     spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout
-) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+) -> tuple[FloatArray, ComplexArray, ComplexArray, FloatArray]:
     """S_uu (n_line, n_input) [N^2/Hz], S_yu (n_line, n_output, n_input) and S_yy (n_line, n_output, n_output)
-    over all recordings.
+    over all recordings; the part of its diagonal from those of each force (n_line, n_output, n_input).
     """
     n_line, n_input, n_output = int(np.count_nonzero(chosen)), len(layout.inputs), len(layout.outputs)
     power = np.zeros((n_line, n_input))
     s_yu, s_yy = (np.zeros((n_line, n_output, n), np.complex128) for n in (n_input, n_output))
+    own = np.zeros((n_line, n_output, n_input))
     n_block = sum(spectrum.n_block for spectrum in spectra)
     for spectrum, inputs, outputs in zip(spectra, layout.input_columns, layout.output_columns, strict=True):
         ((force, column),) = [(number, column) for number, column in enumerate(inputs) if column >= 0]
@@ -461,15 +456,22 @@ def _sum(
         power[:, force] += share * matrix[:, column, column].real
         s_yu[:, :, force] += share * matrix[:, rows, column]
         s_yy += share * matrix[:, rows][:, :, rows]
-    return power, s_yu, s_yy
+        own[:, :, force] += share * matrix[:, rows, rows].real
+    return power, s_yu, s_yy, own
 
 
-def _covariance(residual: ComplexArray, power: FloatArray) -> BlockCovariance:
-    """cov(H_oi, H_pi) = S_rr[o, p] / power_i, a block for every force.
+def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
+    acting = np.array(layout.input_columns) >= 0
+    return np.asarray(np.array([spectrum.averages for spectrum in spectra]) @ acting)
 
-    *power* (n_line, n_input) [N^2/Hz] times degrees of freedom.
+
+def _covariance(residual: ComplexArray, power: FloatArray, levels: FloatArray) -> BlockCovariance:
+    """cov(H_oi, H_pi) = S_rr[o, p] sqrt(g_oi g_pi) / power_i, a block for every force.
+
+    *power* (n_line, n_input) [N^2/Hz] times degrees of freedom; *levels* g (n_output, n_input) [1].
     """
     n_output, n_input = residual.shape[1], power.shape[1]
     elements = np.arange(n_output * n_input).reshape(n_output, n_input).T
-    blocks = residual[:, None] / power[:, :, None, None]
+    size = np.sqrt(levels).T
+    blocks = residual[:, None] / power[:, :, None, None] * (size[:, :, None] * size[:, None, :])
     return BlockCovariance(elements, handed_over(blocks))

@@ -21,10 +21,10 @@ from labpipe.records.response import Blocks
 from labpipe.registry import nearest
 from labpipe.spectra.channel_layout import ChannelLayout
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.feedback import feedback_of_drives
+from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
-from labpipe.spectra.random import block_average
+from labpipe.spectra.random import block_average, blocks_of
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
@@ -157,7 +157,7 @@ def random_lines(
     forces, responses = (
         [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
     )
-    fed_back = feedback_of_drives(sources, drives, forces, responses)
+    fed_back = feedback_of_records(sources, drives, forces, responses)
     return MeasuredLines(
         frequency=frequency,
         vectors=vectors,
@@ -165,13 +165,7 @@ def random_lines(
         runs=drives,
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
-        blocks=Blocks(
-            settings.block,
-            settings.window,
-            settings.overlap,
-            sum(spectrum.n_block for spectrum in spectra),
-            "H1",
-        ),
+        blocks=blocks_of(spectra, settings, "H1"),
         findings=(*findings, *_unexplained_findings(s_zz, residual, layout), *fed_back),
         weak=weak,
     )
@@ -187,7 +181,7 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
     if settings.reference:
-        check_recorded(settings.reference, [c.name for source in sources for c in source.channels])
+        check_recorded(settings.reference, sources)
         names = settings.reference
     elif len(names) > len(layout.inputs) > 0:
         what = (
@@ -214,12 +208,19 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
     return names
 
 
-def check_recorded(references: Sequence[str], channels: Sequence[str]) -> None:
-    """SettingError for a reference that is none of the recorded *channels*."""
+def check_recorded(references: Sequence[str], sources: Sequence[SampleSource]) -> None:
+    """SettingError for a reference that is not recorded, or is a force or a response: the noise of its sensor
+    would be none.
+    """
+    roles = {channel.name: channel.role for source in sources for channel in source.channels}
     for name in references:
-        if name not in channels:
+        if name not in roles:
             what = f"'{name}' is no channel of the recordings"
-            raise SettingError("reference", what, nearest(name, dict.fromkeys(channels)))
+            raise SettingError("reference", what, nearest(name, dict.fromkeys(roles)))
+        if roles[name] != "reference":
+            part = "force" if roles[name] == "input" else "response"
+            what = f"'{name}' is a {part} of the FRF; the reference is injected into the loop from outside"
+            raise SettingError("reference", what, "record it, and give it role: reference in the rig file")
 
 
 def _welch(

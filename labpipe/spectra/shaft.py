@@ -100,9 +100,8 @@ def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
     """Times (n_pulse,) [s] at which the tacho rises through the middle of its range, interpolated linearly
     between samples.
 
-    With hysteresis: a rise counts after the signal has been in the lower and then in the upper part of the
-    range. The recording is read twice: for its range, then for its pulses. DataError for a missing channel or
-    one that does not vary.
+    With hysteresis: a rise counts after the signal has been in the lower and then in the upper part.
+    DataError for a missing channel or one that does not vary.
     """
     names = [record.name for record in source.channels]
     if channel not in names:

@@ -92,17 +92,13 @@ def frequency_variance(signal: FloatArray, frequency: float) -> float:
     return 6 * noise / (np.pi**2 * float(factors[0] ** 2 + factors[1] ** 2) * n**3)
 
 
-# How long after each step the transient lasts: until what is left of it is far below the noise of the
-# result.
-
 # Bins of the time after a step, from zero to the end of the longest dwell.
 N_BIN = 40
 # Standard errors by which the scatter in a bin exceeds that of noise while a transient is seen.
 SEEN = 4.0
 # Share of a standard error that the transient may leave in a result.
 LEFT = 0.2
-# Noise of a block [of its amplitude] below which no sensor is believed to be: a transient smaller than that
-# has settled.
+# Noise of a block, of its amplitude, below which a transient has settled.
 LEAST_NOISE = 1e-4
 
 
@@ -114,9 +110,6 @@ class Course:
 
     times: FloatArray
     values: ComplexArray
-
-    def of(self, channel: int) -> Course:
-        return Course(self.times, self.values[:, [channel]])
 
     def deviation(self) -> FloatArray:
         """|X - its mean over the last half|^2 over the noise from differences there, less what noise gives,
@@ -137,9 +130,8 @@ def settle_time(courses: Sequence[Course]) -> float:
     """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
     where none is seen.
 
-    All dwells decay alike: the sum over dwells and channels of what exceeds the noise, S(t) = S_1 exp(-2 (t -
-    t_1) / tau), shows the transient up to t_1, and is continued from there. A transient of a/s standard
-    deviations of a block leaves the mean of n blocks off by a tau / (n T) in standard errors s / sqrt(n).
+    What exceeds the noise, summed over dwells and channels, S_1 exp(-2 (t - t_1) / tau), is seen up to t_1
+    and continued from there; of a/s standard deviations of a block a tau / (n T) is left in the mean of n.
     DataError when the transient outlasts the dwells, and without a dwell. Equation (frf-settle).
     """
     if not courses:
@@ -166,9 +158,7 @@ def settle_time(courses: Sequence[Course]) -> float:
 
 
 def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean time [s] in each bin that is not empty, excess [1] as a sum over dwells and channels, and its
-    standard error under noise.
-    """
+    """Mean time [s], excess over dwells and channels, and its error under noise, of each bin."""
     total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     for course in courses:
@@ -178,8 +168,7 @@ def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray
         deviation = course.deviation()
         sums = np.bincount(place, deviation.sum(axis=1), minlength=edges.size - 1)
         total[some] += sums[some] / number[some]
-        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom,
-        # heavier than chi2.
+        # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom.
         variance[some] += deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0]) / number[some]
         when += np.bincount(place, course.times, minlength=edges.size - 1)
         count += number
@@ -188,10 +177,7 @@ def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray
 
 
 def _time_constant(time: FloatArray, excess: FloatArray) -> float:
-    """tau [s] of an excess exp(-2 t / tau), from its largest value to the end of what is seen.
-
-    At least a bin, where it falls faster.
-    """
+    """tau [s] of an excess exp(-2 t / tau) from its largest value on; at least a bin."""
     top = int(np.argmax(excess))
     shortest = float(time[-1]) / max(time.size, 1)
     if time.size - top < 2:
@@ -201,23 +187,17 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
 
 
 def _allowance(course: Course, tau: float) -> float:
-    """Largest (a / s)^2 at the start of what is used that leaves LEFT standard errors in the mean of its n
-    blocks.
-    """
+    """Largest (a / s)^2 at the start that leaves LEFT standard errors in the mean of n blocks."""
     n = course.times.size
     step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)
     return float(LEFT**2 * n / max(1.0, tau / step) ** 2)
 
 
-# Recordings of a stepped sine -> FRF matrix at the frequencies of its dwells, with the covariance from the
-# scatter within each.
-
 # Blocks into which a dwell is cut for its noise: at most, and at least.
 MOST_BLOCKS, LEAST_BLOCKS = 32, 4
 # Fewest samples of a block, so that three values are fitted to more.
 LEAST_SAMPLES = 8
-# Frequencies of two dwells are the same within this share of one over their length: far below what a dwell
-# can resolve.
+# Frequencies of two dwells are the same within this share of one over their length.
 SAME_LINE = 0.05
 # Share of the force's power that the sine explains in a dwell, and of the largest amplitude that it has.
 SINE_SHARE, LEAST_LEVEL = 0.8, 0.01
@@ -283,9 +263,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
 def _of_frequency(
     frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]
 ) -> ComplexArray:
-    """Covariance (n_line, n, n) that the uncertainty of the frequency leaves: g g^H var(f), g = dH/df
-    (n_line, n).
-    """
+    """Covariance by the uncertainty of the frequency: g g^H var(f), g = dH/df (n_line, n)."""
     flat = matrix.reshape(frequency.size, -1)
     slope = np.zeros(flat.shape, np.complex128)
     if frequency.size > 1:
@@ -295,9 +273,7 @@ def _of_frequency(
 
 
 def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
-    """Noise of the means (n_line, n_channel, n_channel) [unit^2], its density averaged over *half_width*
-    lines to either side.
-    """
+    """Noise of the means, its density averaged over *half_width* lines to either side."""
     duration = np.array([line.duration for line in lines])[:, None, None]
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
@@ -362,10 +338,7 @@ class _Settling:
 
 
 def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
-    """The amplitudes of the dwells that have periods enough, from the step on.
-
-    The first channel is the force that steps.
-    """
+    """Amplitudes from the step on, of dwells with periods enough; first the force that steps."""
     courses = []
     for dwell in dwells:
         part = samples[dwell.start : dwell.stop]
@@ -380,11 +353,9 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
 
 
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """The time after a step [s] from which the force alone is steady: it gives the frequency, the more
-    exactly the longer it is.
-    """
+    """When the force alone is steady [s]: it gives the frequency, the more exactly the longer it is."""
     try:
-        return settle_time([course.of(0) for course in courses])
+        return settle_time([Course(course.times, course.values[:, :1]) for course in courses])
     except DataError:
         return otherwise
 

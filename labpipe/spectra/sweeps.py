@@ -20,9 +20,11 @@ LEAST_PERIODS = 5
 HYSTERESIS = 0.3
 # Share of the force's power below the frequency that sets how long its local peak is looked for.
 LOW_SHARE = 0.005
-# A period belongs to the dwell while its crossing lies within so many standard errors of where the periods
-# before put it.
+# Standard errors within which a crossing lies where the periods of the dwell before put it.
 WITHIN = 6.0
+# Most by which a straight line through the samples of a sine misses its crossing [periods], times the square
+# of the samples per period: all that the crossings of a force without noise scatter by.
+BENT = 0.3
 # Scatter of the crossings [periods] above which the force is no sine; least that is believed.
 MOST_SCATTER, LEAST_SCATTER = 0.05, 1e-6
 # Standard errors of the curvature of the phase by which a frequency runs on instead of staying.
@@ -92,9 +94,7 @@ def rising_crossings(force: FloatArray) -> FloatArray:
 
 
 def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
-    """Roots [samples] of the straight lines through the samples from *before* to *after* (n,), or between the
-    two of opposite sign if there are no more.
-    """
+    """Roots [samples] of straight lines through the samples from *before* to *after* (n,)."""
     if not before.size:
         return np.empty(0)
     size = after - before + 1
@@ -114,12 +114,14 @@ def _scatter(times: FloatArray) -> float:
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings on one straight line each, period by period."""
+    """Ranges (first, end) of crossings on one straight line each."""
     pieces, first = [], 0
     line = _Line()
     for number, time in enumerate(times):
         at = number - first
-        if at >= 3 and abs(time - line.at(at)) > WITHIN * scatter * line.slope * line.spread(at):
+        if at >= 3 and abs(time - line.at(at)) > line.spread(at) * max(
+            WITHIN * scatter * line.slope, 2 * BENT / line.slope
+        ):
             pieces.append((first, number))
             first, line = number, _Line()
         line.add(float(number - first), time)
@@ -149,9 +151,7 @@ class _Line:
 
 
 def _refine(times: FloatArray, pieces: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The *pieces* with the crossing from which the next one's line fits better: a step shows only some
-    periods after it.
-    """
+    """The *pieces* up to where the next one's line fits better: a step shows periods later."""
     long = [piece for piece in pieces if piece[1] - piece[0] > LEAST_PERIODS]
     ends = [list(piece) for piece in long]
     for number in range(len(long) - 1):
@@ -189,10 +189,7 @@ def loudest(samples: FloatArray, columns: IntArray) -> int:
     return int(columns[np.argmax(np.var(samples[:, columns], axis=0))])
 
 
-# Sweeps in a force: where its frequency runs steadily up or down, by which law, and where the record is cut
-# between them.
-
-# Fewest periods that count as a sweep, and the least ratio of its highest to its lowest frequency.
+# Fewest periods of a sweep, and the least ratio of its highest to its lowest frequency.
 LEAST_SWEPT_PERIODS, LEAST_SPAN = 10, 1.05
 # Largest ratio of two neighbouring periods in a sweep: beyond it, another one begins, or noise.
 LARGEST_STEP = 1.4
@@ -200,19 +197,15 @@ LARGEST_STEP = 1.4
 TURNED = 0.1
 # Periods whose median gives the frequency at an end of a sweep.
 AT_END = 5
-# Share of the largest amplitude of a force below which its sweep is none: another shaker's, seen by this
-# force.
+# Share of a force's largest amplitude below which a sweep is another shaker's.
 LEAST_LEVEL = 0.05
-# Slope of the frequency over a few periods, as a share of that of the whole, below which it stays and steps;
-# fewest such pieces.
+# Slope over a few periods, as a share of the whole's, below which a frequency steps; fewest such pieces.
 STEPPED, LEAST_WINDOWS = 0.5, 10
-# A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing: its
-# amplitude rises slowly.
+# A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing.
 MARGIN, MARGIN_SHARE = 2.0, 0.02
-# Share of the length of the longest sweep below which a run is none: a restart looks like a short sweep back.
+# Share of the longest sweep's length below which a run is none: a restart looks like a short sweep back.
 LEAST_LENGTH = 0.1
-# A piece of crossings goes on with a sweep that it does not turn back from by more than this, where both lie
-# within this share of one law (median).
+# A piece goes on with a sweep that it does not turn back from by more than this, both on one law (median).
 BACK, OFF_LAW = 0.9, 0.06
 # A sweep reaches on in steps of so many periods, while this share of the power lies within a factor of its
 # frequency.
@@ -327,9 +320,7 @@ def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
 
 
 def _continue(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
-    """Pieces of crossings (n,) [samples], those together that one sweep runs through: where a structure takes
-    its shaker along the force all but vanishes, and the crossings are lost.
-    """
+    """Pieces of crossings of one sweep together: where its force all but vanishes crossings are lost."""
     runs: list[list[FloatArray]] = []
     for piece in pieces:
         # A few crossings near a resonance may belong to nothing, and what comes behind them to the sweep.
@@ -347,9 +338,7 @@ def _continue(pieces: Sequence[FloatArray]) -> list[list[FloatArray]]:
 
 
 def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
-    """Whether a piece of crossings (n,) [samples] lies on the law of the run of pieces ahead of it, in the
-    same direction, after a gap that is shorter than both together.
-    """
+    """Whether a piece lies on the law of the run ahead of it, the same way, after a gap shorter than both."""
     (before, low), (after, high) = _course(run), _course([piece])
     further = float(np.median(high[:AT_END]) / np.median(low[-AT_END:]))
     further = further if np.median(low[-AT_END:]) > np.median(low[:AT_END]) else 1 / further
@@ -365,17 +354,13 @@ def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
 
 
 def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) [samples] and frequencies (n,) [periods per sample] between neighbouring crossings of the
-    pieces of a run.
-    """
+    """Times [samples] and frequencies [periods per sample] between neighbouring crossings of a run."""
     middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
     return middle, np.concatenate([1 / np.diff(times) for times in run])
 
 
 def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSweep]:
-    """The sweeps, each as far to either side as the *force* (n_sample,) [N] still follows its law: at an end
-    it may be too small for clear crossings.
-    """
+    """The sweeps as far as the *force* follows their law, beyond its last clear crossings."""
     edges = [0, *(sweep.stop for sweep in sweeps)], [*(sweep.start for sweep in sweeps), force.size]
     return [
         _extend(_extend(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
@@ -384,9 +369,7 @@ def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSwee
 
 
 def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:
-    """The sweep up to *edge* [samples] or to where less than half the power of *force* lies at its frequency,
-    after it (*sign* 1) or before it (-1), in steps of some periods.
-    """
+    """The sweep towards *edge* [samples] in steps of some periods, after it (*sign* 1) or before it (-1)."""
     end, frequency = (sweep.stop, sweep.last) if sign > 0 else (sweep.start, sweep.first)
     rises = (1.0 if sweep.last > sweep.first else -1.0) * sign
     while True:
@@ -404,9 +387,7 @@ def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> Found
 
 
 def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
-    """Whether a *window* (n,) [N] has its power between two frequencies [periods per sample], and a level
-    that is not noise beside the *level* of the sweep.
-    """
+    """Whether a *window* has its power between two frequencies, and more than noise beside the *level*."""
     power = np.abs(np.fft.rfft(window * np.hanning(window.size))) ** 2
     frequency = np.fft.rfftfreq(window.size)
     near = (frequency > min(low, high) / REACH_SPAN) & (frequency < max(low, high) * REACH_SPAN)
@@ -416,7 +397,7 @@ def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
 
 
 def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
-    """The sweep with zero crossings at the pieces (n,) [samples] of a *run*, of a *force* (n_sample,) [N]."""
+    """The sweep with zero crossings at the pieces of a *run*."""
     times = np.concatenate(run)
     middle, frequency = _course(run)
     lines = {law: np.polyfit(middle, there(frequency), 1) for law, (there, _) in LAWS.items()}
@@ -484,12 +465,10 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
 
 # How fast a resonance is swept: against the rule of ISO 7626-2, and against what the record resolves.
 
-# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response.
-# With half as many, the damping of a record cut in full motion was off by up to half its standard error
-# (tests/spectra/test_sweep_coverage.py has 8 and 16).
+# Lines in the half-power width that show a resonance at all; those that tell its leakage from its response:
+# with half as many the damping was off by up to half its standard error.
 FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
-# Coherence, the median of so many lines to either side, below which the highest line of an FRF is no peak
-# whose width says anything: noise of a seventh makes narrow ones.
+# Coherence, the median of so many lines to either side, below which the highest line of an FRF is no peak.
 CLEAR_PEAK, CLEAR_LINES = 0.98, 5
 
 
@@ -498,8 +477,7 @@ def largest_rate(frequency: float, damping_ratio: float) -> float:
     zeta^2 Hz/min.
 
     ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a
-    logarithmic sweep are the same rate at f_n. In half-power widths b = 2 zeta f_n it is 0.9 b per 1 / b.
-    Equation (frf-sweep-rate).
+    logarithmic sweep are the same rate at f_n. Equation (frf-sweep-rate).
     """
     return 216.0 / 60 * frequency**2 * damping_ratio**2
 
@@ -516,10 +494,10 @@ def rate_findings(
 ) -> tuple[Finding, ...]:
     """The highest resonance of each FRF that is swept faster than ISO 7626-2 allows: the one that is most so.
 
-    A note where the record holds all that rings, for then the transforms give the FRF whatever the rate; a
-    warning where the lines are too coarse for the resonance, or, when *leaking*, for the leakage that was
-    taken out. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any unit]; *rate* of sampling
-    [Hz]; *n_sample* of a block; *coherence* (n_line, n_output) [1]: a peak of noise is none.
+    A note where the record holds all that rings; a warning where the lines are too coarse for the resonance,
+    or, when *leaking*, for its leakage. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any
+    unit]; *rate* of sampling [Hz]; *n_sample* of a block; *coherence* (n_line, n_output) [1]: a peak of noise
+    is none.
     """
     peaks = _peaks(frequency, matrix, coherence)
     if not peaks:

@@ -18,9 +18,9 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import pooled_residual
-from labpipe.spectra.local import LEAST_DOF, LocalNoise, local_noise, noise_freedom, usual_half_width
-from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.covariance import covariance_of_parts, noise_levels, pooled_residual
+from labpipe.spectra.local import LocalNoise, check_half_width, local_noise, usual_half_width
+from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
@@ -29,29 +29,23 @@ from labpipe.spectra.sweeps import MARGIN_SHARE, FoundSweep, cuts, find_sweeps, 
 # Leakage counts where its power exceeds that of the noise in its estimate by this factor, and by so many
 # standard errors.
 LEAKING, SURELY = 1.2, 3.0
-# Variance of the leakage over that of the noise above which a line cannot be told from it: those swept at the
-# ends of a record.
+# Variance of the leakage over that of the noise above which a line, swept at an end, cannot be told from it.
 LARGEST_SPREAD = 1.0
-# Degrees of freedom of the noise up to which it is averaged over neighbouring lines: with fewer, the weights
-# of a fit scatter.
+# Degrees of freedom of the noise up to which it is averaged over neighbouring lines.
 ENOUGH_DOF = 48.0
-# A response is at rest where it moves, over half a period of the lowest frequency swept, by no more than this
-# share of its r.m.s. and this many times the noise.
+# A response is at rest where half a period of the lowest frequency has no more of its r.m.s., and of noise.
 AT_REST, NOISE_ALONE = 0.02, 1.5
-# Share of the force's usual level around a line below which nothing is measured there, and lines that make
-# the usual level.
+# Share of the force's usual level, over lines around, below which nothing is measured.
 LEAST_SHARE, AROUND = 0.1, 101
 
 
-# Share of the widest band of a recording's sweeps below which a sweep is left out: the record begins or ends
-# within it, and its band would be that of all.
+# Share of the widest band below which a sweep is left out: the record begins or ends within it.
 WHOLE = 0.9
 
 
-# Parts of a block; a burst is one that holds this share of a block's noise, and this many times the usual
-# power. Noise below this share of a response hides nothing, and what is left beside a smooth FRF is noise up
-# to this many times that of the local fit. White noise gives 1.2 times the usual power, a rotor that touches
-# its stop at a resonance 35 to 60 times, and half of all.
+# Parts of a block; a burst is one with this share of its noise, and this many times the usual power (white
+# noise: 1.2 times, a rotor that touches its stop: 35 to 60). Noise below this share of a response hides
+# nothing; what a smooth FRF leaves is noise up to this many times that of the local fit.
 PARTS, BURST_SHARE, BURST_POWER, LEAST_NOISE, MOST_EXCESS = 32, 0.3, 8.0, 0.05, 3.0
 
 
@@ -86,7 +80,10 @@ class _Spectra:
     def select(self, lines: BoolArray) -> _Spectra:
         """The chosen lines (n_line,)."""
         local = replace(
-            self.local, **{name: getattr(self.local, name)[lines] for name in ("noise", "leakage", "spread")}
+            self.local,
+            **{
+                name: getattr(self.local, name)[lines] for name in ("noise", "leakage", "spread", "of_blocks")
+            },
         )
         return replace(self, frequency=self.frequency[lines], blocks=self.blocks[:, lines], local=local)
 
@@ -95,10 +92,9 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     """The FRF H = Y pinv(U) from transforms of every sweep with all that rings after it, on the lines that
     all of them pass.
 
-    Where a response has not come to rest before the next sweep or the end of the record, the leakage this
-    leaves is estimated over the lines by a local rational fit and taken out. DataError for recordings without
-    sweeps, with fewer sweeps than forces, or whose sweeps have no band or no length in common. Equation
-    (frf-sweep).
+    Leakage of a response that has not come to rest is estimated by a local rational fit and taken out.
+    DataError for recordings without sweeps, with fewer sweeps than forces, or without a band in common.
+    Equation (frf-sweep).
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
@@ -178,9 +174,7 @@ def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
 
 
 def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sample: int) -> bool:
-    """Whether every response moves no more than noise at the beginning and the end of every block, so that
-    there is no leakage.
-    """
+    """Whether every response moves no more than noise at both ends of every block: no leakage."""
     noise = np.sqrt(np.einsum("loo->lo", local.noise).real.mean(axis=0) / n_sample)
     for number, run in enumerate(swept):
         present = [(at, column) for at, column in enumerate(layout.output_columns[number]) if column >= 0]
@@ -215,11 +209,7 @@ def _in_band(
     # As wide as for one sweep of every force: each has leakage of its own.
     usual = 1 + usual_half_width(min(n_block, n_input), n_input, settings.degree)
     half_width = settings.half_width or usual
-    if noise_freedom(n_block, n_input, settings.degree, half_width) < LEAST_DOF:
-        least = 1 + usual_half_width(n_block, n_input, settings.degree)
-        raise DataError(
-            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
-        )
+    check_half_width(half_width, n_block, n_input, settings.degree, 1)
     frequency = np.arange(1, n_line + 1) * spacing
     inside = lines_in(frequency, band) & lines_in(frequency, settings.band)
     inside[:half_width] = inside[n_line - half_width :] = False
@@ -236,9 +226,7 @@ def _in_band(
 
 
 def _driven_lines(forces: ComplexArray) -> BoolArray:
-    """Lines (n_line,) at which every force of (n_block, n_line, n_input) [N] has its usual level of the lines
-    around, or not much less.
-    """
+    """Lines at which every force has its usual level of the lines around, or not much less."""
 
     level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
     usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
@@ -250,8 +238,7 @@ def _without_leakage(
 ) -> tuple[_Spectra, tuple[Finding, ...]]:
     """The spectra without the leakage of their responses where there is some, and a note on it.
 
-    A sweep at the very end of a record looks like leakage itself: its lines keep it, and their noise holds
-    what it may be. DataError when no other line tells how much that is.
+    A sweep at the very end of a record looks like leakage itself: its lines keep it, in their noise.
     """
     local = spectra.local
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
@@ -288,9 +275,7 @@ def _without_leakage(
 
 
 def _hidden(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatArray:
-    """Power (n_line, n_output) [unit^2] of the leakage of lines that do not tell it: the share that it has of
-    the response, beyond its noise, on the nearest lines that do.
-    """
+    """Power of the leakage of lines that do not tell it: its share of the response on the nearest that do."""
     local, numbers = spectra.local, np.flatnonzero(is_determined)
     response = np.mean(np.abs(spectra.blocks[:, :, n_input:]) ** 2, axis=0)
     noise = np.einsum("loo->lo", local.noise).real[:, None] * local.spread
@@ -362,11 +347,15 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
     if spectra.hidden is not None:
         # As a rule alike in all sweeps: more of them do not average it.
         noise = noise + channels.shape[2] / n_input * spectra.hidden[:, :, None] * np.eye(matrix.shape[1])
-    spread = (hermitian(inverse) @ inverse).swapaxes(1, 2)
-    n = matrix.shape[1] * n_input
-    covariance = without_rounding(
-        (noise[:, :, None, :, None] * spread[:, None, :, None, :]).reshape(-1, n, n)
+    # Blocks by the force that is at its strongest.
+    size = np.mean(np.abs(forces) ** 2, axis=0)
+    blocks_of = np.eye(n_input)[np.argmax(size / np.max(size, axis=1, keepdims=True), axis=0)]
+    spread = np.einsum("lbi,lbj,be->leij", inverse, inverse.conj(), blocks_of, optimize=True)
+    local = spectra.local
+    levels = noise_levels(
+        local.of_blocks.swapaxes(1, 2) @ blocks_of, blocks_of.mean(axis=0) * local.dof / local.width
     )
+    covariance = covariance_of_parts(noise, spread, levels)
     power: FloatArray = np.mean(np.abs(responses) ** 2, axis=2)
     noise_power = np.einsum("loo->lo", noise).real
     coherence: FloatArray = np.clip(
@@ -402,9 +391,7 @@ def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[Com
 def _bursts(
     spectra: _Spectra, swept: Sequence[_Swept], layout: Layout, n_sample: int, rate: float
 ) -> tuple[Finding, ...]:
-    """A warning where most of what one force does not explain in a response comes in one short part of a
-    sweep, such as a contact while it passes a resonance: other resonances ring then, and are masked.
-    """
+    """A warning where most of what one force leaves comes in one short part of a sweep, as from a contact."""
     force, responses = spectra.blocks[:, :, 0], spectra.blocks[:, :, 1:]
     noise = spectra.blocks.shape[0] * np.einsum("loo->o", spectra.local.noise).real
     window = 2 * spectra.local.width + 1
@@ -445,9 +432,7 @@ def _bursts(
 
 
 def _lines_averaged(width: int, half_width: int) -> float:
-    """Independent lines in the average over *half_width* to either side of values that are each of *width*
-    lines.
-    """
+    """Independent lines among 2 *half_width* + 1 values that are each of *width* lines."""
     weights = np.convolve(np.ones(width), np.ones(2 * half_width + 1))
     return float(np.sum(weights) ** 2 / np.sum(weights**2))
 

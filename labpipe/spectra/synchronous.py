@@ -4,9 +4,8 @@ Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitte
 mean over periods.
 
 x(t) = p(t) + Re sum_h X_h e^{j h theta(t)} with p periodic and free is linear; without the mean over the
-periods of both sides the normal equations hold X_h alone, so the excitation does not disturb them, however
-strong it is. A harmonic that is itself periodic with the excitation, on one of its lines, is not left in the
-remainder: it cannot be told from the response there, and the line is dropped.
+periods of both sides the normal equations hold X_h alone. A harmonic on a line of the excitation cannot be
+told from the response there, and the line is dropped.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from labpipe.display import plain_text
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
+from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channels import FORCE, READ_SAMPLES, DerivedRecording, checked_blocks, columns_of
 from labpipe.spectra.period_average import samples_per_period
 from labpipe.spectra.ports import ORDER_OF
@@ -76,9 +76,9 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
     recording.
 
-    Time-synchronous averaging is the least-squares fit of all multiples of the speed (McFadden 1987); here of
-    the first `harmonics`. A given speed is refined first, since an error of 0.01 Hz turns 1x by a revolution
-    within 100 s. DataError for fewer than two revolutions. Equation (spec-synchronous).
+    The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous averaging
+    (McFadden 1987). A given speed is refined first. DataError for fewer than two revolutions. Equation
+    (spec-synchronous).
     """
     motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
@@ -89,7 +89,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         )
     amplitude = _harmonics(source, motion, lines.harmonics)
     if lines.speed is not None:
-        refined = steady(_refine(source, motion, lines.speed), duration)
+        refined = steady(_refined(source, lines.speed), duration)
         better = _harmonics(source, refined, lines.harmonics)
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
@@ -133,9 +133,7 @@ def shaft_turns(
 
 
 def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
-    """Least squares of x = c + Re sum_h X_h exp(j h theta) over the whole recording, (n_harmonic,
-    n_channel).
-    """
+    """Least squares of x = c + Re sum_h X_h exp(j h theta), (n_harmonic, n_channel)."""
     n = 2 * n_harmonic + 1
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
     start = 0
@@ -149,11 +147,21 @@ def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Co
     return solution[1 : n_harmonic + 1] + 1j * solution[n_harmonic + 1 :]
 
 
-def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
-    """The speed [Hz] near *speed* at which 1x keeps its phase: d phi per STRETCH, every output weighted with
-    its own power.
-    """
-    stretch = min(max(1, round(STRETCH / speed * source.sample_rate)), source.n_sample // 2)
+def _refined(source: SampleSource, speed: float) -> float:
+    """The speed [Hz] near *speed* by the turn of 1x over stretches, each time over longer ones."""
+    longest = min(READ_SAMPLES, source.n_sample // 2)
+    stretch = max(1, round(STRETCH / speed * source.sample_rate))
+    while True:
+        stretch = min(stretch, longest)
+        speed = _refine(source, speed, stretch)
+        if stretch == longest:
+            return speed
+        stretch *= LONGER
+
+
+def _refine(source: SampleSource, speed: float, stretch: int) -> float:
+    """The speed [Hz] near *speed* at which 1x keeps its phase, outputs weighted by their power."""
+    motion = steady(speed, source.n_sample / source.sample_rate)
     window = hann(stretch)
     outputs = columns_of(source.channels, "output")
     amplitudes, rest, start = [], np.empty((0, len(outputs))), 0
@@ -172,17 +180,17 @@ def _refine(source: SampleSource, motion: ShaftMotion, speed: float) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-# A harmonic of which less than the larger share is left after the mean over periods lies on a line, and that
-# line is dropped. It is fitted all the same, since it leaks into neighbouring lines, down to the smaller
-# share: what leaks of its error falls as the share does.
+# Factor by which the stretches grow that refine a speed.
+LONGER = 4
+# A harmonic of which less than the larger share is left after the mean over periods lies on a line, which is
+# dropped. It is fitted all the same, down to the smaller share, since it leaks into neighbouring lines.
 LEAST_LEFT, LEAST_FITTED = 0.5, 1e-4
 # A force acts on a line above this share of its strongest line.
 ACTING = 1e-3
 # Instants of tacho pulses are uncertain by this much [samples] where they are steps between two samples.
 PULSE_ERROR = 0.35
 MOST_DEGREES = 8
-# Gain in the logarithm of the likelihood that noise alone does not give a speed, with some twenty amplitudes
-# beside it.
+# Gain in the logarithm of the likelihood that noise alone does not give a speed.
 BETTER = 30.0
 
 
@@ -308,7 +316,6 @@ def _fit(
 
 
 def _periods(source: SampleSource, n_sample: int) -> Iterator[FloatArray]:
-    """The whole periods of a recording, (n_sample, n_channel) [SI]."""
     rest: FloatArray = np.empty((0, len(source.channels)))
     for block in checked_blocks(source):
         samples = np.concatenate([rest, block]) if rest.size else block
@@ -350,10 +357,7 @@ def _refined_between(
     return best
 
 
-# Recordings without what is synchronous with their shaft, where the settings name it.
-
-# A shaft turns steadily where its fastest is at most this many times its slowest; pulses of noise at rest are
-# not steady.
+# A shaft turns steadily where its fastest is at most this many times its slowest.
 STEADY = 1.2
 
 
@@ -361,11 +365,12 @@ def without_shaft(
     sources: Sequence[SampleSource], settings: FrfSettings
 ) -> tuple[list[SampleSource], FrfSettings, tuple[Finding, ...]]:
     """The recordings, each without its synchronous part where `remove` is given, and the settings without the
-    lines that it falls on.
+    lines that it falls on, or that `mask` leaves out.
     """
-    remove = settings.remove
+    remove, masked = settings.remove, masked_bands(sources, settings)
+    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *masked))
     if remove is None:
-        return list(sources), settings, ()
+        return list(sources), settings, mask_findings(masked)
     resting = [at_rest(source, remove) for source in sources]
     findings = [
         note(
@@ -387,7 +392,8 @@ def without_shaft(
             cleaned.append(without.source)
             bands |= dict.fromkeys(without.bands)
             findings.extend(without.findings)
-    return cleaned, dataclasses.replace(settings, exclude=(*settings.exclude, *bands)), tuple(findings)
+    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
+    return cleaned, settings, (*mask_findings(masked), *findings)
 
 
 def lines_of_shaft(
@@ -396,7 +402,7 @@ def lines_of_shaft(
     """Warnings for lines on which a force acts in a recording, *excited* (n_line,) [Hz] of each, that lie on
     1x or 2x of the shaft by a tacho that no setting names.
 
-    The scatter between periods does not show a runout there. The tacho is taken to give a pulse per
+    The tacho is taken to give a pulse per
     revolution.
     """
     if settings.excitation != "periodic" or settings.mask is not None or settings.remove is not None:

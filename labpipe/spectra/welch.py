@@ -1,14 +1,9 @@
 """Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
 
-Sums over segments of X_a X_b*, the cross-products of all channels at every line: transformed a few segments
-at a time.
-
 Three ways of one job. Blocks that stay in the cache: LineProducts, whose small matrices BLAS multiplies
-line by line, many segments at once. Longer blocks of a few pairs of channels: PackedProducts, in which two
-real channels share one complex transform and lines stand last in memory, so that every operation runs over a
-long row; half the memory, and in place. Longer blocks of other channels: RowProducts, in which every channel
-is transformed in a row of its own, two segments at once, and brought together with the others behind the
-transform, for BLAS.
+line by line. Longer blocks of a few pairs of channels: PackedProducts, in which two real channels share one
+complex transform and every operation runs over a long row. Longer blocks of other channels: RowProducts, in
+which a channel of two segments is one transform.
 """
 
 from __future__ import annotations
@@ -26,20 +21,17 @@ from labpipe.processes import by_turns, threads
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Measured on blocks of 4096 to 100,000 samples: as many samples of a block as stay in the cache, of all
-# channels together; the most channels that are worth packing in pairs, and the samples per channel from which
-# on packing pays.
+# Measured on blocks of 4096 to 100,000 samples: samples of a block that stay in the cache, channels together;
+# most channels that are worth packing, and samples per channel from which on it pays.
 SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
-# Segments transformed together [samples, segments]: enough to keep the overhead small, few enough to stay in
-# the cache and, for very long blocks, in memory. Products of small matrices are fastest with about this many
-# segments; of long rows with fewer, and of no more than LONG_SAMPLES of a channel together.
+# Segments transformed together [samples, segments]: few enough to stay in the cache and, of very long blocks,
+# in memory. Long rows are fastest with fewer, of no more than LONG_SAMPLES of a channel together.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 22
 SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
 # Complex numbers of a product that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
-# The same for rows of all channels: their products are sums of many numbers, which are read and written once
-# per PAIRS_AT_ONCE. Rows that are transposed, and lines whose products are made, in the cache.
+# The same for rows of all channels; rows transposed, and lines whose products are made, in the cache.
 PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
@@ -147,7 +139,7 @@ class LineProducts(SegmentProducts):
 
 
 class PackedProducts(SegmentProducts):
-    """Products of Z = FFT(z) of channels packed in pairs, z_k = x_2k + i x_2k+1, for blocks of many lines.
+    """Products of Z = FFT(z) of channels in pairs, z_k = x_2k + i x_2k+1, an even number of them.
 
     X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f)
     Z_m(f)*, Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
@@ -157,9 +149,8 @@ class PackedProducts(SegmentProducts):
         super().__init__(
             window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size))
         )
-        n_pair, n_line = (n_channel + 1) // 2, len(lines)
+        n_pair, n_line = n_channel // 2, len(lines)
         self._taper = window.astype(np.complex128)
-        # An odd channel's partner stays zero.
         self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
         # Products with the conjugates of the pairs up to the same one, of positive and of negative
         # frequencies in rising order.
@@ -168,13 +159,7 @@ class PackedProducts(SegmentProducts):
         self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        even = self._n_channel // 2 * 2
-        if segments[:1].flags.c_contiguous and self._n_channel == even:
-            np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
-            return
-        for channel in range(self._n_channel):
-            half = self._tapered.imag if channel % 2 else self._tapered.real
-            np.multiply(segments[:, :, channel], self._taper.real, out=half[place, channel // 2])
+        np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
         transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True, workers=threads())
@@ -182,8 +167,7 @@ class PackedProducts(SegmentProducts):
         positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
         negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
         for number, trend in enumerate(self._trend):
-            weight = coefficients[:, number, 0::2, None].astype(np.complex128)
-            weight[:, : self._n_channel // 2] += 1j * coefficients[:, number, 1::2, None]
+            weight = coefficients[:, number, 0::2, None] + 1j * coefficients[:, number, 1::2, None]
             positive[:, :, : trend.size] -= weight * trend
             negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
         n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
@@ -199,13 +183,11 @@ class PackedProducts(SegmentProducts):
                     _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
 
         by_turns(add, range(0, n_line, n_chunk), threads())
-        if self._n_channel % 2:
-            self._tapered[:n_segment, -1].imag = 0.0
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
         n = self._n_channel
-        matrix = np.empty((n + n % 2, n + n % 2, len(self._lines)), np.complex128)
+        matrix = np.empty((n, n, len(self._lines)), np.complex128)
         for k in range(len(self._positive)):
             for m in range(k + 1):
                 positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
@@ -216,7 +198,7 @@ class PackedProducts(SegmentProducts):
                 matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
                 matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
                 matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
-        return _hermitian_lines(matrix[:n, :n], columns, scale)
+        return _hermitian_lines(matrix, columns, scale)
 
 
 class RowProducts(SegmentProducts):
@@ -233,8 +215,7 @@ class RowProducts(SegmentProducts):
         n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
         self._room, self._step, self._window = 2 * n_pair, step, window
         self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
-        # For every thread the samples of a pair of segments, in rows of channels. A pair that waits for its
-        # second segment is in the first.
+        # A pair that waits for its second segment is in the place of the first thread.
         self._n_thread = threads()
         self._rows = np.empty((self._n_thread, n_channel, window.size + step))
         self._pair = np.empty((self._n_thread, n_channel, window.size), np.complex128)
@@ -300,9 +281,7 @@ class RowProducts(SegmentProducts):
 
 
 def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
-    """Add to *sums* (n_line, n, n) the products sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), as many
-    lines at a time as stay in the cache.
-    """
+    """Add sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), lines that stay in the cache together."""
     n_line, n = sums.shape[:2]
     n_chunk = max(1, CACHED_NUMBERS // (n * (n + 2 * amplitude.shape[1])))
 
@@ -319,20 +298,13 @@ def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1
 def _add_products(
     left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray
 ) -> None:
-    """Add to *sums* of pair k, (n_other, n_line), left[k] times the first n_other rows of *right*.
-
-    Left, right (n_pair, n_line).
-    """
+    """Add to *sums* of pair k left[k] times the first n_other rows of *right*, (n_pair, n_line)."""
     for row, into in zip(left, sums, strict=True):
         into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
 
 
 def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """Matrices (n, n, n_line), of which the lower triangle is right, times *scale* as (n_line, n, n) or their
-    *columns*.
-
-    Lines stay last in memory.
-    """
+    """Matrices (n, n, n_line) with a right lower triangle as (n_line, n, n), lines last in memory."""
     for row in range(matrix.shape[0]):
         matrix[row, row].imag = 0.0
         for column in range(row):
@@ -422,10 +394,7 @@ class WelchAverage:
         self._rest = [block[consumed:].copy()] if consumed >= 0 else [seam[n_rest + consumed :].copy()]
 
     def _add_segments(self, samples: FloatArray, most: int) -> int:
-        """Taper all complete segments of samples (n, n_channel), at most *most*.
-
-        Returns where the next one begins.
-        """
+        """Taper complete segments of samples, at most *most*; returns where the next one begins."""
         n = self._window.size
         n_segment = min(most, max(0, (samples.shape[0] - n) // self._step + 1))
         if n_segment:
@@ -490,9 +459,7 @@ def trend_basis(detrend: str, n_sample: int) -> FloatArray:
 
 
 def _significant_lines(trend: ComplexArray) -> ComplexArray:
-    """The first lines (n_row, n_line) up to the last one above rounding: a row's largest possible amplitude
-    is sqrt(n_sample).
-    """
+    """The first lines (n_row, n_line) up to the last one above rounding."""
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
     return trend[:, : above[-1] + 1 if above.size else 0]

@@ -1,11 +1,7 @@
 """Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage.
 
-Leakage of random data: what the finite blocks of Welch's method do to H1, from the spectrum of their window
-alone.
-
-A block is u w and y w, and the response to forces before it is missing while part of that to its own comes
-too late. For a force with a smooth spectrum E[S_yu] / E[S_uu] = sum |W(w - v)|^2 H(v) / sum |W|^2: the
-impulse response times the window's autocorrelation.
+Leakage of H1 by the spectrum of the window alone, of a force with a smooth spectrum: E[S_yu] / E[S_uu] =
+sum |W(w - v)|^2 H(v) / sum |W|^2.
 """
 
 from __future__ import annotations
@@ -21,12 +17,22 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.records.response import Blocks
 
-# Correlation below which the noise of two lines counts as independent; no window's main lobe is wider than
-# FURTHEST_LINE lines.
+# Correlation below which lines count as independent; no main lobe is wider than FURTHEST_LINE lines.
 SHARED = 1e-3
 FURTHEST_LINE = 20
 # The same for the exponential window, whose noise falls off slowly: as one over the distance.
 FAINT = 0.02
+# Windows whose parameters are numbers of samples.
+IN_SAMPLES = (
+    "exponential",
+    "poisson",
+    "gaussian",
+    "gauss",
+    "gss",
+    "general_gaussian",
+    "general_gauss",
+    "ggs",
+)
 # Samples that stand for a window whose length is not known: its correlation depends on the shape alone.
 WINDOW_SAMPLES = 1024
 
@@ -43,11 +49,14 @@ def hann(n_sample: int) -> FloatArray:
 def window_values(name: str, n_sample: int) -> FloatArray:
     """The periodic (DFT-even) window of that name, (n_sample,) [1]; "tukey 0.25" gives a parameter.
 
-    ConfigError for an unknown name.
+    ConfigError for an unknown name, and for a window whose shape is not the same over any number of samples.
     """
     if name == "hann":
         return hann(n_sample)
     kind, *parameters = name.split()
+    if kind in IN_SAMPLES:
+        what = f"the parameter of the window '{name}' counts samples, so that its shape depends on the block"
+        raise ConfigError(what, hint="for example 'kaiser 8'")
     try:
         chosen: Any = (kind, *(float(parameter) for parameter in parameters)) if parameters else kind
         with np.errstate(all="ignore"):
@@ -66,8 +75,7 @@ def noise_bandwidth(window: FloatArray) -> float:
     """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1] of a window (n_sample,) (Harris 1978, eq.
     11).
 
-    Times the line spacing it is in Hz; white noise passes as through a rectangular filter of this width:
-    boxcar 1, Hann 1.5. Equation (spec-enbw).
+    Boxcar 1, Hann 1.5. Equation (spec-enbw).
     """
     return float(window.size * np.dot(window, window) / np.sum(window) ** 2)
 
@@ -88,9 +96,8 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
     """c_d of the noise of an FRF at lines d = 1, 2, ... apart, down to SHARED: Hann 0.45, 0.03; boxcar
     without overlap none.
 
-    window (n_sample,) [1], *step* [samples]. Noise and force of blocks m and n at lines k and k + d both have
-    the covariance r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N), j = n - m, and H's noise is a sum
-    of their products: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2. Equation
+    window (n_sample,) [1], *step* [samples]. With r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N) of
+    noise and force of blocks j apart: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2. Equation
     (spec-line-correlation).
     """
     n = window.size
@@ -110,9 +117,8 @@ def amplitude_correlation(name: str) -> tuple[float, ...]:
     """r_d = sum w^2 cos(2 pi d n / N) / sum w^2 of lines d = 1, 2, ... apart, down to SHARED: Hann -2/3, 1/6;
     boxcar none.
 
-    That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit): noise / F
-    of one line and the next. The origin of the phase is the beginning of the block, as it is of an FRF.
-    ConfigError for an unknown *name*. Equation (spec-amplitude-correlation).
+    That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit), with the
+    phase of its beginning. ConfigError for an unknown *name*. Equation (spec-amplitude-correlation).
     """
     window = window_values(name, WINDOW_SAMPLES)
     power = np.fft.fft(window**2).real[: FURTHEST_LINE + 1] / np.dot(window, window)
@@ -124,9 +130,9 @@ def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
     """r_d = sum_t w^2 exp(-2 pi j d (t - origin) / N) / sum w^2 of lines d = 1, 2, ... apart, (n_distance,)
     [1], down to FAINT.
 
-    window (n_sample,) [1] of the block; *origin* [samples]: the hit. Stationary noise n of the record gives a
-    line of the FRF the error sum_t w n exp(-j w t) / F, and F has the phase exp(-j w origin). exp(-t / tau)
-    in a block T gives nearly 1 / (1 + j pi d tau / T). Equation (spec-exponential-correlation).
+    window (n_sample,) [1] of the block; *origin* [samples]: the hit. The force has the phase exp(-j w
+    origin). exp(-t / tau) in a block T gives nearly 1 / (1 + j pi d tau / T). Equation
+    (spec-exponential-correlation).
     """
     power = np.fft.fft(window**2)[: window.size // 2] / np.dot(window, window)
     above = np.flatnonzero(np.abs(power) > FAINT)
@@ -146,8 +152,7 @@ def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
     return float(n_block / (1 + 2 * np.sum(np.maximum(1 - k / n_block, 0) * rho)))
 
 
-# Samples of a window that show its shape, and points per line: an impulse response is followed over as many
-# blocks.
+# Samples of a window that show its shape, and points per line.
 SHAPE_SAMPLES, POINTS = 512, 4
 # Share of the window's power outside of the lines that count, and their largest number to either side.
 OUTSIDE, MOST_LINES = 1e-6, 64

@@ -292,6 +292,10 @@ def test_random_data_need_recorded_independent_drives() -> None:
     (run,) = recordings(rig, 1, ["seal-random"])
     with pytest.raises(ConfigError, match=r"'u_z' is no channel.*u_"):
         channel_spectra([run], replace(RANDOM, reference=("u_x", "u_z")))
+    # Its own noise would be due to it: none of it in the covariance.
+    force = next(channel.name for channel in run.channels if channel.role == "input")
+    with pytest.raises(ConfigError, match=f"'{force}' is a force of the FRF"):
+        channel_spectra([run], replace(RANDOM, reference=(force, "u_x")))
     samples = run.samples.copy()
     samples[:, 7] = samples[:, 6]
     with pytest.raises(DataError, match="u_x, u_y are not independent"):

@@ -354,6 +354,8 @@ def test_a_bad_hit_of_one_file_costs_that_file_only() -> None:
     assert [finding.message for finding in response.findings if finding.code == "hit-rejected"] == [
         "hit 2 ('hit at 30', 0.000 s) is left out: double hit"
     ]
+    # The others stay repeats.
+    assert response.repeats_are == "recordings" and len(response.repeat_names) == 2
     with pytest.raises(DataError, match=r"1 hit\(s\) found, none of them good"):
         measure(sources[1:2], settings)
 
@@ -439,3 +441,38 @@ def test_every_hit_of_a_recording_is_a_repeat(rng: np.random.Generator) -> None:
     # Lines under an exponential window share their noise, which one hit does not show.
     windowed = replace(settings, impact=replace(settings.impact, decay=BLOCK / np.log(100)))
     assert measure([recording], windowed).repeats is None
+
+
+def test_a_response_recorded_late_fills_the_same_window(rng: np.random.Generator) -> None:
+    """By a tenth of a block, stated: under `decay` H was off by the factor exp(.1 s / 200 ms)."""
+    recording = hammered(rng, half_sine(4 * N, [100, 100 + 2 * N], [100.0, 80.0]), noise=1e-6)
+    lag = N // 10
+    samples = np.column_stack([recording.samples[:, 0], np.roll(recording.samples[:, 1], lag)])
+    late = Recording((HAMMER, replace(X, delay=lag / RATE)), samples, RATE, "late")
+    settings = FrfSettings(
+        excitation="impact", block=BLOCK, band=(30.0, 90.0), impact=ImpactSettings(decay=0.2)
+    )
+    matrices = [measure([source], settings).matrix for source in (recording, late)]
+    np.testing.assert_allclose(matrices[1], matrices[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("windows", [{"force_window": 0.02}, {"decay": 0.2}], ids=str)
+def test_an_offset_goes_where_little_lies_ahead_of_the_hit(
+    rng: np.random.Generator, windows: dict[str, float]
+) -> None:
+    """A hammer at 5 N and a sensor beside its zero: under a window the offset is a force of its own, and H
+    was 5 % off (median); expected is H without it.
+    """
+    plain = hammered(rng, half_sine(4 * N, [100, 100 + 2 * N], [100.0, 80.0]), noise=1e-5)
+    shifted = replace(plain, samples=plain.samples + np.array([5.0, 1.0]))
+    impact = ImpactSettings(pretrigger=0.0, **windows)
+    settings = FrfSettings(excitation="impact", block=BLOCK, band=(5.0, 200.0), impact=impact)
+    matrices = [measure([source], settings).matrix for source in (plain, shifted)]
+    np.testing.assert_allclose(matrices[1], matrices[0], rtol=1e-3)
+
+
+def test_a_block_of_hardly_any_samples_is_refused(rng: np.random.Generator) -> None:
+    recording = hammered(rng, half_sine(4 * N, [100], [100.0]))
+    for block, n in ((1e-4, 0), (5e-4, 1), (2e-3, 4)):
+        with pytest.raises(DataError, match=f"a block of {block:g} s holds {n} samples of 'taps', 20 are"):
+            measure([recording], FrfSettings(excitation="impact", block=block))

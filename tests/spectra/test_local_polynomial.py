@@ -165,9 +165,27 @@ def test_records_that_hold_too_little_are_refused() -> None:
     settings = FrfSettings("random", block="2 s", local="polynomial")
     with pytest.raises(DataError, match=r"is 1.5 s long, too short for one block of 2 s"):
         measure([recording(150)], settings)
+    with pytest.raises(DataError, match=r"a block of 0.05 s holds 5 samples of '.*', 8 are needed"):
+        measure([recording(150)], FrfSettings("random", block="50 ms", local="polynomial"))
     with pytest.raises(DataError, match="fewer lines than the window of 15"):
         measure([recording(24)], FrfSettings("random", block="0.2 s", local="polynomial", half_width=7))
     with pytest.raises(DataError, match="half_width: 3 leaves the noise unknown"):
         measure([recording(200)], FrfSettings("random", block="2 s", local="polynomial", half_width=3))
     with pytest.raises(DataError, match="too smooth over the lines"):
         measure([recording(200, np.eye(1, 200, 1)[0])], settings)
+
+
+def test_the_noise_of_a_column_is_that_of_its_own_recording() -> None:
+    """A tenth of the force and of the noise in the second: the relative error of both columns is one. With
+    the noise of both together their variances were one to a hundred.
+    """
+    rng = np.random.default_rng(5)
+    outputs = tuple(Channel(name, "displacement", "output", name) for name in "xy")
+    sources = []
+    for name, level in (("f", 1.0), ("g", 0.1)):
+        force = level * rng.normal(size=(8000, 1))
+        samples = np.hstack([force, force * [2.0, 0.3] + 0.1 * level * rng.normal(size=(8000, 2))])
+        sources.append(Recording((Channel(name, "force", "input", name), *outputs), samples, 1e3, name))
+    settings = FrfSettings("random", block="2 s", local="polynomial", band=(30.0, 300.0))
+    variance = measure(sources, settings).variance.mean(axis=0)
+    np.testing.assert_allclose(variance[:, 1] / variance[:, 0], 1.0, atol=0.15)

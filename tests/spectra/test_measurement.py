@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -266,3 +268,66 @@ def test_a_drift_is_taken_out_with_a_straight_line(rng: np.random.Generator) -> 
     truth = measure([plain], settings["linear"]).matrix
     error = {name: np.max(np.abs(measure([drifting], own).matrix - truth)) for name, own in settings.items()}
     assert error["linear"] < 1e-9 and error["constant"] > 0.05
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"estimator": "H1"},
+        {"estimator": "H2", "window": "boxcar"},
+        {"local": "polynomial"},
+        {"reference": ("r",)},
+    ],
+    ids=str,
+)
+def test_a_stated_delay_is_taken_out_however_long_beside_a_block(
+    rng: np.random.Generator, own: dict[str, Any]
+) -> None:
+    """y = 2 u, recorded 1/4 block late, the reference a whole one: |H| was low by the window's
+    autocorrelation (H1), the reference refused. Expected is the gain.
+    """
+    force = rng.normal(size=int(40 * RATE))
+    late = {"x": 16, "r": 64}
+    channels = (
+        FORCE,
+        replace(X, delay=late["x"] / RATE),
+        Channel("r", "voltage", "reference", "r", delay=late["r"] / RATE),
+    )
+    samples = np.column_stack([force, np.roll(2 * force, late["x"]), np.roll(force, late["r"])])
+    source = Recording(channels, samples + 1e-6 * rng.normal(size=samples.shape), RATE, "late")
+    settings = FrfSettings(excitation="random", block=0.25, **own)
+    np.testing.assert_allclose(measure([source], settings).matrix, 2.0, rtol=1e-4)
+    drives = replace(settings, reference=("r",), local="none", estimator="H1", result="spectra")
+    vectors = channel_spectra([source], drives).vectors
+    np.testing.assert_allclose(vectors[..., 1] / vectors[..., 0], 2.0, rtol=1e-4)
+
+
+def test_a_channel_has_one_delay_in_all_recordings(rng: np.random.Generator) -> None:
+    sources = [periodic_recording(rng, (2.0,), 1e-3) for _ in range(2)]
+    for late in (replace(FORCE, delay=1e-3), replace(X, delay=1e-3)):
+        channels = tuple(late if c.name == late.name else c for c in sources[1].channels)
+        with pytest.raises(DataError, match=f"'{late.name}' has not the same delay"):
+            measure([sources[0], replace(sources[1], channels=channels)], PERIODIC)
+
+
+@pytest.mark.parametrize(("both", "estimator"), [(False, "H1"), (True, "H1"), (True, "Hv")])
+def test_noise_of_another_level_in_the_recordings_of_a_force_is_that_of_its_column(
+    both: bool, estimator: str
+) -> None:
+    """White noise s on a force u of variance p over n averages: E|dH|^2 = s^2 / (p n). A tenth of both in the
+    second recording: the noise of both together made it 2 times too small in the first column, 50 times too
+    large in the second; whether the force at rest is recorded or not.
+    """
+    rng = np.random.default_rng(11)
+    channels = [Channel(name, "displacement", "output", name) for name in "xy"]
+    sources = []
+    for number, level in enumerate((1.0, 0.1)):
+        forces = level * rng.normal(size=(20_000, 2)) * np.where(np.arange(2) == number, 1.0, 1e-3)
+        outputs = forces @ [[2.0, 0.3], [0.5, 1.0]] + 0.01 * level * rng.normal(size=(20_000, 2))
+        chosen = [0, 1] if both else [number]
+        inputs = [Channel("fg"[n], "force", "input", "fg"[n]) for n in chosen]
+        samples = np.hstack([forces[:, chosen], outputs])
+        sources.append(Recording((*inputs, *channels), samples, 1e3, str(number)))
+    settings = FrfSettings(excitation="random", block=0.25, band=(20.0, 400.0), estimator=estimator)
+    response = measure(sources, settings)
+    np.testing.assert_allclose(response.variance.mean(axis=0), 1e-4 / (response.averages / 2), rtol=0.1)

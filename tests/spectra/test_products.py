@@ -20,10 +20,15 @@ from labpipe.spectra.welch import (
 from labpipe.spectra.windows import window_values
 
 
-@pytest.mark.parametrize("n_channel", [1, 2, 3, 4])
 @pytest.mark.parametrize("lines", [range(1, 33), range(1, 32), range(5, 12)])
 @pytest.mark.parametrize(("n", "step"), [(64, 64), (64, 24), (65, 24)])
-@pytest.mark.parametrize("way", [LineProducts, PackedProducts, RowProducts])
+@pytest.mark.parametrize(
+    ("way", "n_channel"),
+    [
+        *((way, n) for way in (LineProducts, RowProducts) for n in (1, 2, 3, 4)),
+        *((PackedProducts, n) for n in (2, 4)),
+    ],
+)
 def test_sums_are_those_written_out(
     rng: np.random.Generator, way: type[SegmentProducts], n: int, step: int, lines: range, n_channel: int
 ) -> None:

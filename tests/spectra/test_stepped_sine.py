@@ -204,3 +204,24 @@ def test_a_decay_may_leave_a_share_of_a_standard_error_in_the_mean(tau: float, b
     """
     largest = np.sqrt(_allowance(SimpleNamespace(times=np.arange(40.0)), tau))
     assert largest * blocks / 40 == pytest.approx(LEFT / 40**0.5)
+
+
+def test_recordings_of_one_force_are_repeats() -> None:
+    """Each is the matrix of its recording alone, although the frequencies of their dwells differ by noise."""
+    sources = [record(seed, (37.0, 40.0, 43.0)) for seed in range(2)]
+    response = measure(sources, FrfSettings(excitation="stepped-sine"))
+    assert response.repeats is not None and response.repeats_are == "recordings"
+    for source, matrix in zip(sources, response.repeats, strict=True):
+        np.testing.assert_array_equal(
+            matrix, measure([source], FrfSettings(excitation="stepped-sine")).matrix
+        )
+
+
+def test_a_quiet_force_of_few_samples_per_period_keeps_its_dwells() -> None:
+    """A straight line through n samples per period misses a crossing by up to .3 / n^2 periods: of a
+    generator's sine that was taken for steps, and there were ten times as many dwells.
+    """
+    steps = np.arange(50.0, 120.0, 5.0)
+    time = np.arange(4000) / 1000
+    dwells = find_dwells(np.concatenate([np.sin(2 * np.pi * f * time) for f in steps]))
+    np.testing.assert_allclose([1000 * dwell.frequency for dwell in dwells], steps, rtol=1e-4)

@@ -43,9 +43,12 @@ def test_a_window_s_parameter_stands_behind_its_name() -> None:
     assert noise_bandwidth(window_values("kaiser 8.6", 4096)) == pytest.approx(
         1.72, abs=0.01
     )  # Kaiser-Bessel, Harris' alpha = 8.6 / pi
-    for wrong in ("hannn", "kaiser", "hann x", "tukey 1 2 3", "gaussian 0"):
+    for wrong in ("hannn", "kaiser", "hann x", "tukey 1 2 3"):
         with pytest.raises(ConfigError, match=f"unknown window '{wrong}'"):
             window_values(wrong, 16)
+    # Its shape over 512 samples, from which leakage is known, is not that over a block.
+    with pytest.raises(ConfigError, match="'gaussian 100' counts samples"):
+        window_values("gaussian 100", 1000)
 
 
 def test_without_overlap_every_block_counts() -> None:

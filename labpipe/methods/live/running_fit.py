@@ -444,7 +444,7 @@ class HitCutter(_Cutter):
         self._before = round(self._impact.pretrigger * self.n_sample)
         self._search = HitSearch(self._force, self.n_sample, self._before, len(channels))
         self._sizes: list[float] = []
-        self._noise = self._zero = 0.0
+        self._noise, self._rest = 0.0, np.zeros(len(channels))
 
     def restart(self) -> None:
         self._search.restart()
@@ -458,25 +458,25 @@ class HitCutter(_Cutter):
         self._search.add(block)
         if not self._noise and not self._is_quiet_known():
             return
-        for start, trigger, samples in self._search.hits(self._zero, self._level):
+        for start, trigger, samples in self._search.hits(self._rest[self._force], self._level):
             yield self._hit(start, samples, trigger)
 
     def _is_quiet_known(self) -> bool:
         """Whether the rest position of the force and the noise about it are known, by the first samples."""
-        force, n = self._search.window[:, self._force], max(self._before, 16)
-        if force.size < n:
+        window, n = self._search.window, max(self._before, 16)
+        if window.shape[0] < n:
             return False
-        self._zero = float(np.median(force[:n]))
+        self._rest = np.nan_to_num(np.median(window[:n], axis=0))
+        distance = np.abs(window[:, self._force] - self._rest[self._force])
         # Of a recording that begins within a hit the median is still the rest position.
-        self._noise = float(1.4826 * np.median(np.abs(force[:n] - self._zero)))
-        self._noise = self._noise or 1e-6 * float(np.max(np.abs(force - self._zero)))
+        self._noise = float(1.4826 * np.median(distance[:n])) or 1e-6 * float(np.max(distance))
         return self._noise > 0.0
 
     def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
         self._number += 1
-        hit = judged_hit(self._number, start, np.nan_to_num(samples), trigger, self._force, self._impact)
-        what, _, column = hit.fault.rpartition(" ")
-        fault = f"{what} '{self.channels[int(column) - 1].name}'" if column.isdigit() else hit.fault
+        raw = np.nan_to_num(samples)
+        hit = judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
+        fault = hit.fault
         size = float(np.max(np.abs(hit.samples[:, self._force])))
         usual = float(np.median(self._sizes)) if self._sizes else 0.0
         if not fault and size < WEAK * usual:
