@@ -100,7 +100,7 @@ def taken_uncertainties(
         if declared.section is not None:
             uncertainties |= taken_uncertainties(entry, kind, join(key, name), declared.section, faults)
             continue
-        entry = in_one_line(entry, declared)
+        entry = in_one_line(entry, declared.kind)
         if declared.kind != "value" or not is_uncertain(entry.text):
             continue
         value, uncertainty = split_uncertainty(entry.text)

@@ -75,10 +75,10 @@ def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     yield from written.certified
     text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
     if "#" in text:
-        slope = calibrated_slope(text, written.node.folder)
-        if slope.std_error:
-            number = uncertain.Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
-            yield _of_channel(written, "gain", number, f"sensitivity {text}")
+        slope = calibrated_slope(text, written.node.folder_of("sensitivity"))
+        # All channels with this slope have its error.
+        source, size = f"sensitivity {text}", abs(slope.std_error / slope.value)
+        yield uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, size, "1", slope.dof))
     if uncertainty:
         yield _of_channel(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
 
@@ -142,7 +142,7 @@ class Slope:
 
 
 def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file.
+    """The slope of a calibration fit; the reference is FILE#FIT, relative to the *folder*.
 
     UnitError where there is none.
     """
@@ -190,7 +190,8 @@ def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
         text = path.read_text(encoding="utf-8-sig").splitlines()
         lines = [line for line in text if line.strip() and not line.startswith("#")]
     except OSError:
-        raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
+        hint = "paths are relative to the file that names them"
+        raise UnitError(f"no such file '{path.name}'", hint) from None
     except UnicodeDecodeError:
         raise UnitError(f"'{path.name}' is no text table", f"columns: {', '.join(COLUMNS)}") from None
     rows = list(csv.reader(lines, skipinitialspace=True))
@@ -248,13 +249,15 @@ class Certified:
     response: tuple[tuple[float, float, float], ...] = ()
 
 
-def certified_sensitivity(node: Marked, key: str, faults: Faults) -> Certified | None:
-    """The sensitivity of a channel by its certificate; None and a fault for one that cannot be used."""
+def certified_sensitivity(node: Marked, folder: Path, key: str, faults: Faults) -> Certified | None:
+    """The sensitivity of a channel by its certificate in a *folder*; None and a fault for one that cannot be
+    used.
+    """
     settings = read_settings(CertificateSettings, node, key, faults)
     if settings is None:
         return None
     try:
-        return _certify(settings, node.folder)
+        return _certify(settings, folder)
     except UnitError as error:
         faults.add_unit(node, key, error)
         return None
@@ -266,10 +269,12 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
     if certificate.refused:
         raise UnitError(f"{named}: {certificate.refused}")
     _check_day(settings, certificate.valid_until, named)
-    if settings.serial and settings.serial not in certificate.serials:
-        listed = ", ".join(certificate.serials) or "none"
-        raise UnitError(f"{named} is not of serial number '{settings.serial}'", f"it names: {listed}")
     stated = certificate.quantity(settings.quantity)
+    serials = stated.serials or certificate.serials
+    if settings.serial and settings.serial not in serials:
+        what = f"{named} is not of serial number '{settings.serial}'"
+        what += f" in '{settings.quantity}'" if stated.serials else ""
+        raise UnitError(what, f"it names: {', '.join(serials) or 'none'}")
     if stated.std_errors is None:
         raise UnitError(f"{named} states no uncertainty of '{settings.quantity}'")
     if not all(stated.values):

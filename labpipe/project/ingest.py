@@ -59,7 +59,7 @@ def ingest(
     paths in the header are relative. *joined*: further files with channels of the same run, joined *by* time
     or sample. Raises DataError with file and line for what cannot be used.
     """
-    if is_recording(source):
+    if is_recording(source) and not joined:
         return recording_file.open_recording(source)
     table = _join([source, *joined], rig, by) if joined else _open(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
@@ -88,6 +88,9 @@ def _open(source: Path, rig: Rig) -> Table:
 
 
 def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
+    calibrated = next(filter(is_recording, paths), None)
+    if calibrated is not None:
+        raise DataError("is calibrated already, and is not joined", calibrated, "join the raw files")
     tables = [open_table(path) for path in paths]
     if rig.resample is not None:
         what = "`resample` brings the channels of one file to a rate, and these files are joined"

@@ -17,6 +17,9 @@ import yaml
 
 from labpipe.errors import ConfigError, ConfigErrors
 
+# What stands for a file where an entry was set on the command line.
+SET = "--set"
+
 
 @dataclass
 class Marked:
@@ -38,6 +41,11 @@ class Marked:
     def folder(self) -> Path:
         """The folder of the file that it stands in."""
         return Path(self.where.rsplit(":", 2)[0]).parent
+
+    def folder_of(self, key: str) -> Path:
+        """The folder of the file that an entry stands in; of one by `--set`, which is no file, its own."""
+        entry: Marked = self.content[key]
+        return self.folder if entry.where.startswith(SET) else entry.folder
 
     def without(self, *keys: str) -> Marked:
         """A mapping without these entries."""
@@ -202,7 +210,7 @@ def set_entry(root: Marked, assignment: str) -> None:
     ConfigError where it is impossible.
     """
     path, equals, text = assignment.partition("=")
-    where = f"--set {assignment}"
+    where = f"{SET} {assignment}"
     if not equals or not path.strip():
         raise ConfigError("not an assignment", where, "write --set key.sub=value")
     value = _plain_or_yaml(text, where)

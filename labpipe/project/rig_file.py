@@ -11,7 +11,7 @@ from labpipe.errors import ConfigError
 from labpipe.project import calibrations
 from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
 from labpipe.project.marked_yaml import Marked, load_marked
-from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
@@ -191,7 +191,8 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
             what = "a mapping of channels to factors is needed"
             faults.add(listed or node, join(key, "sum"), what, "sum: {f: 1, a: -30 kg +- 0.1 kg}")
         else:
-            text = " + ".join(f"{factor.text} * {member}" for member, factor in listed.content.items())
+            factors = {member: in_one_line(factor).text for member, factor in listed.content.items()}
+            text = " + ".join(f"{factor} * {member}" for member, factor in factors.items())
             as_text = replace(listed, content=text, text=text)
             together[name] = replace(node, content={**node.without("sum").content, "derived": as_text})
     return replace(channels, content=together)
@@ -303,10 +304,14 @@ def _sum_channel(
     members = [by_name[term.channel] for term in terms if term.channel in by_name]
     chains = {(member.delay, member.response) for member in members}
     delay, response = chains.pop() if len(chains) == 1 else (0.0, ())
+    if split_uncertainty(settings.dof)[1]:
+        what = "a sum has no uncertainty of its direction"
+        faults.add_at(entry.content, key, "dof", what, "state it at the channels that are summed")
     dof, angle = _direction(settings.dof or name, entry, key, faults)
     member = any(term.channel == name for other in sums.values() for term in other)
     role = settings.role or ("reference" if member else DEFAULT_ROLES.get(settings.quantity, "reference"))
-    return Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
+    channel = Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
+    return replace(channel, position=settings.position)
 
 
 def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, calibrations.Certified | None]:
@@ -316,7 +321,8 @@ def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, c
     entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
     if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:
         return node, None
-    certified = calibrations.certified_sensitivity(entry, join(key, "sensitivity"), faults)
+    folder = node.folder_of("sensitivity")
+    certified = calibrations.certified_sensitivity(entry, folder, join(key, "sensitivity"), faults)
     if certified is None:
         return node, None
     if certified.response and "response" in node.content:
@@ -377,7 +383,7 @@ def _response(
     if not settings.response:
         return ()
     try:
-        return calibrations.read_sensor_response(node.folder / settings.response)
+        return calibrations.read_sensor_response(node.folder_of("response") / settings.response)
     except UnitError as error:
         faults.add_unit(node.content["response"], join(key, "response"), error)
         return ()
@@ -409,7 +415,7 @@ def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
     "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration.
     """
     if "#" in text:
-        slope = calibrations.calibrated_slope(text, node.folder)
+        slope = calibrations.calibrated_slope(text, node.folder_of("sensitivity"))
         text = f"{slope.value!r} {slope.unit}"
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:

@@ -27,6 +27,9 @@ _TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, {"type": "array"
 _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
 
 
+# Entries of a sum of channels.
+SUM_KEYS = ("quantity", "role", "dof", "position")
+
 # The kinds of files with a schema: functions to it.
 SCHEMAS = Registry("schema")
 
@@ -43,7 +46,7 @@ def rig_schema() -> dict[str, Any]:
     described = "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg"
     schema["properties"]["constants"] = {**numbers, "description": described}
     listed = object_schema(ChannelSettings)
-    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")}
+    listed["properties"] = {name: listed["properties"][name] for name in SUM_KEYS}
     listed["properties"]["sum"] = numbers
     described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
     sums = {"type": "object", "additionalProperties": listed, "description": described}

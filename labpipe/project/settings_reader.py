@@ -209,7 +209,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            node_of = in_one_line(entries[name], setting)
+            node_of = in_one_line(entries[name], setting.kind)
             read = (
                 _read_uncertain
                 if takes_uncertainty(owner, setting) and is_uncertain(node_of.text)
@@ -269,11 +269,11 @@ def _instance(
         return None
 
 
-def in_one_line(node: Marked, setting: Setting) -> Marked:
-    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that
-    stands for it.
+def in_one_line(node: Marked, kind: str = "value") -> Marked:
+    """A number of a *kind* of setting in its long form {value, std | limits | expanded, shape, k, dof,
+    source} as the text that stands for it.
     """
-    if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
+    if kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
     parts = {name: part.text for name, part in node.content.items()}
     sizes = [name for name in SIZES if name in parts]
@@ -440,13 +440,16 @@ def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
     """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up;
     None where it differs.
 
-    '{}' stands for a part that is no condition.
+    '{}' stands for a part that is no condition; one that stands twice is the same in both places.
     """
-    parts = re.split(r"\{(\w*)\}", pattern)
-    wanted = [part for part in parts[1::2] if part]
-    groups = iter(parts[1::2])
-    expression = "".join(
-        re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]
-    ) + re.escape(parts[-1])
+    expression, wanted = "", list[str]()
+    for number, part in enumerate(re.split(r"\{(\w*)\}", pattern)):
+        if number % 2 == 0:
+            expression += re.escape(part)
+        elif part in wanted:
+            expression += f"(?:\\{wanted.index(part) + 1})"
+        else:
+            expression += "(.+?)" if part else ".+?"
+            wanted += [part] if part else []
     match = re.fullmatch(expression, name)
     return None if match is None else dict(zip(wanted, match.groups(), strict=True))

@@ -9,6 +9,7 @@ from pathlib import Path
 from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
 from labpipe.project import settings_reader
+from labpipe.project.ingest import is_recording
 from labpipe.project.marked_yaml import Marked
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
@@ -233,12 +234,17 @@ class RecordingReader:
             self.faults.add_at(
                 entry.content, key, "by", "belongs to files that are joined", "write join: [a.csv, b.csv]"
             )
-        sources = []
+        moving = next((word for word in ("channels", "pattern") if word in entry.content), "")
+        sources: list[SourceFile] = []
         before = len(self.faults)
         for path in paths:
-            # After a fault the other files would say the same.
-            if len(self.faults) == before:
-                sources.append(SourceFile(path, self._move(rig, path, entry, key)))
+            if moving and is_recording(path):
+                what = f"'{path.name}' is calibrated, its channels stay as they are"
+                self.faults.add_at(entry.content, key, moving, what, "name the raw file, or leave it out")
+            sources.append(SourceFile(path, self._move(rig, path, entry, key)))
+            if len(self.faults) > before:
+                # The other files would say the same.
+                break
         return sources
 
     def _by(self, entry: Marked, key: str) -> str:
@@ -287,7 +293,7 @@ class RecordingReader:
 
 SINGLE = ("recordings", "frfs", "conditions")
 LISTED = ("name", *SINGLE, "frf", "repeats")
-EACH = ("each", "pattern", "together", "conditions", "frf")
+EACH = ("each", "pattern", "together", "conditions", "frf", "repeats")
 REPEATS = ("each", "pool")
 
 
@@ -320,6 +326,7 @@ class EachFile:
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
     frf: FrfSettings | None = None
     pattern: str = ""
+    repeats: str = ""
 
     def named(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
@@ -334,7 +341,7 @@ class EachFile:
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
         conditions = {**self.conditions, **self.named(source.path)}
-        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf)
+        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
 
 
 @dataclass(frozen=True)
@@ -407,7 +414,7 @@ class TestReader:
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"
                 self.faults.add_at(entries["conditions"].content, "conditions", name, what, "leave one out")
-        return EachFile(common, recorded, self._frf(entries, key), pattern)
+        return EachFile(common, recorded, self._frf(entries, key), pattern, self._repeats(entries, key))
 
     def each_file(self) -> EachFile:
         """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
@@ -454,11 +461,14 @@ class TestReader:
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"
             self.faults.add_at(entries, key, "conditions", what, "write the amount, e.g. load: 1 kN")
-        repeats = entries["repeats"].content if "repeats" in entries else ""
+        frf, repeats = self._frf(entries, key), self._repeats(entries, key)
+        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, frf, repeats)
+
+    def _repeats(self, entries: dict[str, Marked], key: str) -> str:
+        repeats = entries["repeats"].text if "repeats" in entries else ""
         if "repeats" in entries and repeats not in REPEATS:
             self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
-        frf = self._frf(entries, key)
-        return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, frf, repeats)
+        return repeats
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
         """The pipeline's frf: with the entries that the test itself gives.
@@ -488,6 +498,9 @@ class TestReader:
         for name, node in self.faults.mapping(entries["conditions"], "conditions").items():
             if not isinstance(node.content, dict):
                 written[name] = node.text
+                if node.content is None or not node.text:
+                    what, hint = "an amount or a word is needed", "for example speed: 3000 rpm"
+                    self.faults.add(node, settings_reader.join(key, "conditions", name), what, hint)
                 continue
             source = settings_reader.read_settings(
                 RecordedCondition, node, settings_reader.join(key, "conditions", name), self.faults

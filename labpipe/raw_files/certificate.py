@@ -44,7 +44,8 @@ _TOKEN = re.compile(r"\s*\\([a-z]+)(?:\{([^{}]*)\})?")
 class CertifiedQuantity:
     """A quantity of a certificate: the *names* by which it may be asked for, its *values* in *unit* as
     labpipe writes it, and their standard uncertainties [unit], None where none is stated. table: number of
-    the table in which it stands, by which columns belong together.
+    the table in which it stands, by which columns belong together. serials: of what was calibrated, where
+    the certificate states them for each quantity.
     """
 
     names: tuple[str, ...]
@@ -52,6 +53,7 @@ class CertifiedQuantity:
     unit: str
     std_errors: tuple[float, ...] | None
     table: int
+    serials: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
         content = path.read_bytes()
     except OSError as error:
         what = "no such file" if not path.exists() else (error.strerror or str(error)).lower()
-        raise UnitError(f"'{path.name}': {what}", "paths are relative to the rig file") from None
+        raise UnitError(f"'{path.name}': {what}", "paths are relative to the file that names them") from None
     if sha256 and hashlib.sha256(content).hexdigest() != sha256.lower():
         raise UnitError(f"'{path.name}' is not the file of that SHA-256", "use the file as it was issued")
     if path.suffix.lower() == ".csv":
@@ -268,7 +270,12 @@ def _quantity(quantity: ET.Element, table: int) -> Iterator[CertifiedQuantity]:
             continue
         end = _NUMBERS[_local(number)]
         values = _listing(_only(number, f"value{end}", SI))
-        unit = unit_text(_text(_only(number, f"unit{end}", SI)))
+        # A list has one unit for all, or one for each.
+        text = _text(_only(number, f"unit{end}", SI))
+        units = dict.fromkeys(text.split() if end else [text])
+        if len(units) > 1:
+            raise UnitError(f"a list of numbers has several units: {', '.join(units)}")
+        unit = unit_text(next(iter(units)))
         errors = _std_errors(number, end, len(values))
         if hybrid and number is not hybrid[0][0]:
             # Another unit of the same: the first one is what the laboratory states.
@@ -412,8 +419,11 @@ def _of_table(content: bytes, name: str, number: str) -> Certificate:
         )
     except UnitError as error:
         raise UnitError(f"'{name}': {error.what}", error.hint) from None
-    serials = tuple(dict.fromkeys(row["serial"] for row in rows if row.get("serial")))
-    return Certificate(rows[0]["certificate"], serials, min(days, default=None), quantities)
+    return Certificate(rows[0]["certificate"], _serials_of(rows), min(days, default=None), quantities)
+
+
+def _serials_of(rows: Sequence[dict[str, str]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(row["serial"] for row in rows if row.get("serial")))
 
 
 def _day_of(text: str) -> datetime.date:
@@ -455,10 +465,11 @@ def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator
 
     sizes = [relative(row["uncertainty"], row["value"]) for row in rows]
     factors = column("coverage_factor")
-    yield CertifiedQuantity((named,), column("value"), units.pop(), _quotients(sizes, factors), table)
+    errors = _quotients(sizes, factors)
+    yield CertifiedQuantity((named,), column("value"), units.pop(), errors, table, _serials_of(rows))
     if any(row.get(FREQUENCY) for row in rows):
         yield CertifiedQuantity((FREQUENCY,), column(FREQUENCY), "Hz", None, table)
     if any(row.get(PHASE) for row in rows):
         key = "phase_uncertainty_deg"
-        errors = _quotients(column(key), factors) if key in rows[0] else None
-        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", errors, table)
+        of_phase = _quotients(column(key), factors) if key in rows[0] else None
+        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", of_phase, table)
