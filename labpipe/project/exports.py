@@ -26,6 +26,7 @@ from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import cell, output_file, write_table_csv
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.deciding import stated_error
+from labpipe.project.one_test import stated_day
 from labpipe.raw_files.certificate import DCC, SI, dsi_unit
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.raw_files.mat import write_frf_mat, write_recording_mat
@@ -436,8 +437,7 @@ def _administrative(owner: ET.Element, identification: Identification) -> None:
     _child(core, "usedLangCodeISO639_1", "en")
     _child(core, "mandatoryLangCodeISO639_1", "en")
     _child(core, "uniqueIdentifier", f"labpipe:{identification.digest or NOT_STATED}")
-    of_tests = identification.test_conditions.values()
-    days = sorted(conditions["date"] for conditions in of_tests if "date" in conditions)
+    days = sorted(filter(None, map(stated_day, identification.test_conditions.values())))
     if days:
         _child(core, "beginPerformanceDate", days[0])
         _child(core, "endPerformanceDate", days[-1])

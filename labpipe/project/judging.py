@@ -136,11 +136,12 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
     """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings
     expects that one.
     """
-    expected = {(rule.fit, rule.bound.removeprefix(ALSO)) for rule in rules if rule.item == "warnings"}
+    on_warnings = [rule for rule in rules if rule.item == "warnings"]
     codes: dict[str, str] = {}
     for fit in fits:
+        expected = {rule.bound.removeprefix(ALSO) for rule in on_warnings if _address(rule, [fit])}
         for finding in of_level(WARNING, fit.findings):
-            if finding.code in FORBIDDING and (fit.name, finding.code) not in expected:
+            if finding.code in FORBIDDING and finding.code not in expected:
                 codes.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
     return tuple(
         RuleOutcome(

@@ -118,12 +118,12 @@ def rotor_sheets(
             speeds = [matrix.levels_of(point)[place] for point in points]
             courses = [_course(identification, matrix, point) for point in points]
             pairs = list(zip(speeds, courses, strict=True))
-            in_step = np.array([_at(course, np.array([speed]))[0] for speed, course in pairs])
-            table = _table("speed", 2 * np.pi * np.array(speeds), in_step, others)
+            in_step = [_coefficients(course, np.array([speed])) for speed, course in pairs]
+            table = _table("speed", np.array(speeds), np.concatenate(in_step), others)
             yield _sheet(number, "synchronous"), table
             for speed, course in pairs:
                 whirl = np.linspace(course[0][0], course[0][-1], N_WHIRL)
-                table = _table("frequency", 2 * np.pi * whirl, _at(course, whirl), others)
+                table = _table("frequency", whirl, _coefficients(course, whirl), others)
                 yield _sheet(number, f"{60 * speed:.0f} rpm"), table
 
 
@@ -168,28 +168,25 @@ def _square(point: MatrixPoint, letter: str) -> FloatArray:
 
 
 def _interpolate(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
-    flat = matrix.reshape(frequency.size, -1)
-    columns = [
-        np.interp(at, frequency, column.real) + 1j * np.interp(at, frequency, column.imag)
-        for column in flat.T
-    ]
+    columns = [np.interp(at, frequency, column) for column in matrix.reshape(frequency.size, -1).T]
     return np.asarray(np.stack(columns, axis=1).reshape(at.size, 2, 2))
 
 
-def _at(course: Course, frequency: FloatArray) -> ComplexArray:
-    """H (n, 2, 2) [N/m] at frequencies (n,) [Hz]; beyond the band that was measured, that of its end."""
-    return _interpolate(*course, frequency)
+def _coefficients(course: Course, frequency: FloatArray) -> FloatArray:
+    """k = Re H and c = Im H / w (n, 8) [SI] at frequencies (n,) [Hz]; beyond the band that was measured,
+    those of its end.
+    """
+    within = np.clip(frequency, course[0][0], course[0][-1])
+    stiffness = _interpolate(*course, within).reshape(-1, 4)
+    return np.hstack([stiffness.real, stiffness.imag / (2 * np.pi * within[:, None])])
 
 
-def _table(over: str, omega: FloatArray, stiffness: ComplexArray, others: list[str]) -> pd.DataFrame:
-    """Rows over omega (n,) [rad/s], a column named *over*, of k = Re H and c = Im H / w, and the other
-    conditions in words.
+def _table(over: str, frequency: FloatArray, coefficients: FloatArray, others: list[str]) -> pd.DataFrame:
+    """Rows over 2 pi *frequency* (n,) [rad/s], a column named *over*, of *coefficients* (n, 8) [SI], and the
+    other conditions in words.
 
     ROSS takes either name for one axis up to version 2; from version 3 on `frequency` is that of the whirl
     alone.
     """
-    flat, axes = stiffness.reshape(-1, 4).T, ("xx", "xy", "yx", "yy")
-    columns: dict[str, object] = {over: omega}
-    columns |= {f"k{pair}": course.real for pair, course in zip(axes, flat, strict=True)}
-    columns |= {f"c{pair}": course.imag / omega for pair, course in zip(axes, flat, strict=True)}
+    columns = {over: 2 * np.pi * frequency, **dict(zip(ROTOR_NAMES.values(), coefficients.T, strict=True))}
     return pd.DataFrame({**columns, "at": ", ".join(others)})

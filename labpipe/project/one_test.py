@@ -142,12 +142,17 @@ def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
     return {"rig": rig, "date": day_of(test, conditions), "test": test.name, "conditions": dict(conditions)}
 
 
-def day_of(test: Test, conditions: Mapping[str, str]) -> str:
-    """The day of a test: its condition `date`, else that on which its first file was last changed, in UTC."""
+def stated_day(conditions: Mapping[str, str]) -> str:
+    """The day that the condition `date` states, ISO 8601; '' without one."""
     try:
         return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
     except ValueError:
-        return change_day(files_of(test)[0])
+        return ""
+
+
+def day_of(test: Test, conditions: Mapping[str, str]) -> str:
+    """The day of a test: its condition `date`, else that on which its first file was last changed, in UTC."""
+    return stated_day(conditions) or change_day(files_of(test)[0])
 
 
 def files_of(test: Test) -> list[Path]:

@@ -92,6 +92,12 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
         fits.extend(with_level_findings(made, work.conditions))
     if faults and not fits:
         raise faults[0]
+    names = {parameter.name for fit in fits for parameter in fit.parameters}
+    sources = () if work.failed else {source for fit in settings for source in fit.between}
+    for source in sources:
+        if source.parameter not in names:
+            what = f"uncertainty.repeatability.{source.name}: no fit has a parameter '{source.parameter}'"
+            raise ConfigError(what, work.pipeline.path, nearest(source.parameter, names))
     return fits
 
 

@@ -20,7 +20,7 @@ from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelate
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
-_COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>[^:]+):(?P<part>re|im|var|coh)$")
+_COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>.+):(?P<part>re|im|var|coh)$")
 FREQUENCY = "frequency_hz"
 # Coherence with what single precision and few printed digits add to 1.
 HIGHEST = 1.001
@@ -65,8 +65,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
 
 def checked_coherence(values: Any, where: Path | str) -> Any:
     """Coherences [1] of any shape as they are, None without; DataError for one that is none."""
-    if values is not None and np.any(np.abs(values) > HIGHEST):
-        what = f"holds the coherence {np.max(np.abs(values)):g}"
+    if values is not None and np.any(beyond := np.abs(values - 0.5) > HIGHEST - 0.5):
+        what = f"holds the coherence {values[beyond][0]:g}"
         raise DataError(what, where, "they lie between 0 and 1, and are not in per cent")
     return values
 
@@ -102,6 +102,10 @@ def cube(outputs: Sequence[Any], inputs: Sequence[Any], values: Callable[[Any, A
 
 def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
     """Write the response as `read_frf_csv` reads it."""
+    slashed = next((port.label for port in response.outputs if "/" in port.label), None)
+    if slashed is not None:
+        what = f"'{slashed}' cannot be a response in a table, where o/i is response per force"
+        raise DataError(what, hint="--to mat, uff or parquet, or another dof in the rig file")
     columns = {FREQUENCY: response.frequency}
     variance = response.variance
     for o, output in enumerate(response.outputs):

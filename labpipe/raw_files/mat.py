@@ -20,6 +20,7 @@ import scipy
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from labpipe.errors import DataError
+from labpipe.quantities import may_agree
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, distinct, is_numeric, rate_of
 from labpipe.raw_files.simcenter import labels_and_units, signals_of
 from labpipe.raw_files.table import check_in_child
@@ -33,7 +34,7 @@ PART = 1 << 20
 _OPTIONAL = ("covariance", "coherence")
 _MARKS = ("frequency_hz", "H", "form")
 _PORTS = tuple(f"{side}{part}" for side in ("output", "input") for part in ("s", "_dofs", "_angles_rad"))
-_KNOWN = (*_MARKS, *_PORTS, *_OPTIONAL, "covariance_dof")
+_KNOWN = (*_MARKS, *_PORTS, *_OPTIONAL, "covariance_dof", "unit")
 
 
 def check_hdf5(path: Path) -> None:
@@ -471,6 +472,10 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     if missing:
         hint = "frequency_hz, H (frequency, output, input), form, outputs and inputs make a response"
         raise DataError(f"lacks the variable {', '.join(missing)}", path, hint)
+    form, unit = (text_of(variables.get(key, "")) for key in ("form", "unit"))
+    if unit and form in FORMS and not may_agree(unit, FORMS[form]):
+        what = f"H is in {unit} by the variable unit, a {form} in {FORMS[form]} is needed"
+        raise DataError(what, path, "describe it in the entry: {file: FILE, variables: {...}, unit: ...}")
     outputs, inputs = (_ports(variables, side, path) for side in ("output", "input"))
     frequency = _numbers(variables, "frequency_hz", path).ravel()
     shape = (frequency.size, len(outputs), len(inputs))
@@ -479,7 +484,7 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     # MATLAB drops trailing dimensions of 1.
     optional = {key: _shape(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
     optional["covariance_dof"] = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
-    matrix, form = _shape(variables, "H", shape, path), text_of(variables["form"])
+    matrix = _shape(variables, "H", shape, path)
     return FrequencyResponse(frequency, matrix, outputs, inputs, form=form, **optional, name=name)
 
 
