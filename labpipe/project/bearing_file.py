@@ -173,6 +173,8 @@ def parse_sweep(text: str, owner: type) -> Sweep:
     texts = [f"{part} {unit_of_last}" if is_number(part) else part for part in parts]
     try:
         start, stop, step = (parse_value(text, unit) for text in texts)
+        # A step is a difference: 10 degC are 10 K.
+        step -= parse_value(f"0 {unit_of_last}", unit)
     except UnitError as error:
         raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
     return Sweep(key, unit, _values(start, stop, step, where))

@@ -20,8 +20,6 @@ from labpipe.uncertainty import decisions
 
 # (value [SI], whether it meets the rule, the value in the rule's unit, how limits were decided on)
 Compared = tuple[float | str | None, bool, str, RuleDecision | None]
-# What the stated interval covers, over its standard uncertainty.
-STATED = 2 * NORMAL
 
 
 def stated_error(parameter: Parameter) -> float | None:
@@ -32,11 +30,21 @@ def stated_error(parameter: Parameter) -> float | None:
     """
     if parameter.full_error is not None or parameter.ci95 is None:
         return parameter.full_error
-    return (parameter.ci95[1] - parameter.ci95[0]) / STATED
+    return (parameter.ci95[1] - parameter.ci95[0]) / (2 * NORMAL)
 
 
-def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> Compared:
-    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits.
+def expanded_of(parameter: Parameter) -> float | None:
+    """The expanded uncertainty [unit of the parameter], half the 95 % interval where noise alone is known."""
+    if parameter.expanded is not None or parameter.ci95 is None:
+        return parameter.expanded
+    return (parameter.ci95[1] - parameter.ci95[0]) / 2
+
+
+def decide(
+    rule: Rule, value: float | None, error: float | None, unit: str, expanded: float | None = None
+) -> Compared:
+    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits. *expanded*: its
+    expanded uncertainty, by default that of a normal distribution.
 
     Without a value or an uncertainty it does not, and the text says so. ConfigError for limits of another
     dimension.
@@ -54,7 +62,8 @@ def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> C
     if error is None or not math.isfinite(error):
         return value, False, f"not judged: {shown} has no standard uncertainty", None
     probability = decisions.conformance(value, error, limits)
-    outcome, acceptance = _outcome(decision, value, error, limits, probability)
+    reach = NORMAL * error if expanded is None else expanded
+    outcome, acceptance = _outcome(decision, value, (error, reach), limits, probability)
     risks = None if process is None else decisions.global_risk(process, error, limits, acceptance)
     ends = (None, None) if acceptance is None else (_end(acceptance.low), _end(acceptance.high))
     record = RuleDecision(
@@ -112,9 +121,16 @@ def _text(decision: Decision, value: float, error: float | None, unit: str) -> s
 
 
 def _outcome(
-    decision: Decision, value: float, error: float, limits: decisions.Limits, probability: float
+    decision: Decision,
+    value: float,
+    errors: tuple[float, float],
+    limits: decisions.Limits,
+    probability: float,
 ) -> tuple[str, decisions.Limits | None]:
-    """The outcome, and the values that pass; None where none does."""
+    """The outcome, and the values that pass; None where none does. *errors*: standard and expanded
+    uncertainty.
+    """
+    error, expanded = errors
     if decision.rule == RISK:
         return decisions.outcome_by_risk(probability, decision.risk), decisions.acceptance_by_risk(
             error, limits, decision.risk
@@ -122,9 +138,7 @@ def _outcome(
     if decision.rule == SIMPLE:
         return (decisions.PASS if limits.hold(value) else decisions.FAIL), limits
     guard = (
-        decisions.guard_band(error, decision.risk)
-        if decision.guard is None
-        else decision.guard * NORMAL * error
+        decisions.guard_band(error, decision.risk) if decision.guard is None else decision.guard * expanded
     )
     if guard < 0:
         # A band outwards: what passes lies within it, and nothing is conditional.

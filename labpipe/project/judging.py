@@ -26,15 +26,15 @@ _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operato
 
 
 def compare_number(
-    rule: Rule, value: float | None, unit: str, error: float | None = None
+    rule: Rule, value: float | None, unit: str, error: float | None = None, expanded: float | None = None
 ) -> deciding.Compared:
     """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule.
 
-    One that could not be given meets none. *error*: its standard uncertainty [unit], by which rules with
-    limits are decided; all others compare the value alone.
+    One that could not be given meets none. *error*, *expanded*: its standard and expanded uncertainty
+    [unit], by which rules with limits are decided; all others compare the value alone.
     """
     if rule.decision is not None:
-        return deciding.decide(rule, value, error, unit)
+        return deciding.decide(rule, value, error, unit, expanded)
     try:
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
@@ -82,9 +82,9 @@ def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
 
     Relative to the value where the rule is in per cent.
     """
-    if parameter.ci95 is None:
+    half = deciding.expanded_of(parameter)
+    if parameter.ci95 is None or half is None:
         return None, False, "", None
-    half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
     if rule.bound.endswith("%"):
         return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
     return compare_number(rule, half, parameter.unit)
@@ -313,6 +313,11 @@ def _compare_item(rule: Rule, fit: Fit) -> deciding.Compared:
     return _compare_attribute(rule, fit.parameter(name), attribute)
 
 
+def _compare_parameter(rule: Rule, parameter: Parameter, compare: CompareNumber) -> deciding.Compared:
+    errors = deciding.stated_error(parameter), deciding.expanded_of(parameter)
+    return compare(rule, parameter.value, parameter.unit, *errors)
+
+
 def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deciding.Compared:
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
@@ -326,7 +331,7 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
     if attribute:
         what = f"'{parameter.name}' has no '{attribute}'"
         raise rule.fault(what, nearest(attribute, ("std_error", "expanded", "covers", "significant")))
-    return compare_number(rule, parameter.value, parameter.unit, deciding.stated_error(parameter))
+    return _compare_parameter(rule, parameter, compare_number)
 
 
 # Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded",
@@ -372,4 +377,4 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
         raise rule.fault(f"the matrix has no '{rule.item}'", hint) from None
-    return rule.outcome(*compare_number(rule, amount.value, amount.unit, deciding.stated_error(amount)))
+    return rule.outcome(*_compare_parameter(rule, amount, compare_number))

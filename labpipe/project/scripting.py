@@ -35,7 +35,7 @@ from labpipe.project.run import run as run_pipeline
 from labpipe.project.run_record import recorded
 from labpipe.project.settings_reader import DECIDE, FILE_KINDS
 from labpipe.project.simulate import load_virtual_rig
-from labpipe.quantities import QUANTITIES, parse_unit
+from labpipe.quantities import QUANTITIES, unit_of
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import TEXT_SUFFIXES, Table, open_table
 from labpipe.raw_files.text_table import plain_suffix
@@ -238,7 +238,8 @@ def _by_itself(path: Path) -> Recording:
 
 
 def _recording(table: Table, guessed: list[GuessedChannel], time: list[str]) -> Recording:
-    units = [parse_unit(channel.unit) for channel in guessed]
+    # By the quantity: g of an acceleration is no gram.
+    units = [unit_of(channel.unit, QUANTITIES[channel.quantity].si_unit) for channel in guessed]
     samples = np.concatenate(list(table.chunks([*time, *(channel.column for channel in guessed)])))
     calibrated = samples[:, len(time) :] * [unit.factor for unit in units] + [unit.offset for unit in units]
     rate = table.sample_rate

@@ -215,7 +215,12 @@ class UffTable:
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
-        self.units = {name: unit for name, record in self._records.items() if (unit := time_unit(record)[0])}
+        try:
+            units = {name: time_unit(record)[0] for name, record in self._records.items()}
+        except DataError as error:
+            error.where = str(path)
+            raise
+        self.units = {name: unit for name, unit in units.items() if unit}
         rate = 1 / records[0].step
         self.sample_rate: float | None = rate
         if abs(round(rate) / rate - 1) < _STEP_DIGITS:
@@ -324,11 +329,16 @@ def frf_factor(record: uff.UffRecord) -> float:
             raise DataError(what, hint="there is no record 164 with the units")
         return labelled
     factor = record.scale.force / record.scale.length
-    stated = bool(record.ordinate.unit) and labelled is not None
-    if stated and labelled is not None and abs(labelled / factor - 1) > _SAME:
-        what = f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
-        raise DataError(what)
+    if record.ordinate.unit and labelled is not None:
+        _check_label(record, labelled, factor)
     return factor
+
+
+def _check_label(record: uff.UffRecord, labelled: float, factor: float) -> None:
+    """DataError where the label's SI value per value is not the *factor* of the 164 record."""
+    if abs(labelled / factor - 1) > _SAME:
+        what = f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
+        raise DataError(what, hint="correct the record that is wrong")
 
 
 # What titles call the response, as in "Frequency Response H1(Acc,Force)", by the form that it makes.
@@ -415,9 +425,14 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
 def time_unit(record: uff.UffRecord) -> tuple[str, float]:
     """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
 
-    With a record 164 the SI unit by data type; else the unit of the label, and factor 1.
+    With a record 164 the SI unit by data type; else the unit of the label, and factor 1. DataError for a
+    label that contradicts the 164 record.
     """
-    kind = record.ordinate.kind
-    if record.scale is not None and kind in SI_UNITS:
-        return SI_UNITS[kind], 1 / (record.scale.force if kind in _FORCES else record.scale.length)
-    return axis_unit(record.ordinate), 1.0
+    kind, label = record.ordinate.kind, axis_unit(record.ordinate)
+    if record.scale is None or kind not in SI_UNITS:
+        return label, 1.0
+    factor = 1 / (record.scale.force if kind in _FORCES else record.scale.length)
+    unit = parse_unit(label or "1")
+    if unit.dimension == parse_unit(SI_UNITS[kind]).dimension:
+        _check_label(record, unit.factor, factor)
+    return SI_UNITS[kind], factor
