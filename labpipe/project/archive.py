@@ -213,7 +213,6 @@ def _is_named(node: Marked, folder: Path) -> bool:
 
 
 def _texts(node: Marked) -> Iterator[Marked]:
-    """The texts in a tree."""
     content = list(node.content.values()) if isinstance(node.content, dict) else node.content
     if not isinstance(content, list):
         yield from [node] if node.text else []
@@ -355,7 +354,6 @@ def opened(path: Path) -> Iterator[Opened]:
 
 
 def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path: Path) -> None:
-    """DataError for an entry that must not be unpacked."""
     name = info.orig_filename
     parts = name.removesuffix("/").split("/")
     if "\0" in name or "\\" in name or ":" in parts[0] or any(part in ("", ".", "..") for part in parts):

@@ -99,7 +99,6 @@ def _coefficients_by_unit(
 def _curve(
     values: FloatArray, swept: Sequence[BearingCoefficients], kind: str, entry: tuple[int, int], number: int
 ) -> Series:
-    """One coefficient over the sweep, with its range over a ball passage where the model gives one."""
     dofs, factor = swept[0].dofs, scale_of(swept[0].unit(*entry))
 
     def over_sweep(name: str) -> FloatArray:
@@ -198,7 +197,6 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
 def _uncertainty_entry(
     uncertainties: BearingUncertainties, coefficients: BearingCoefficients
 ) -> dict[str, Any]:
-    """Standard uncertainties by all sources, and the change by one standard uncertainty of each."""
     names = [amount.name for amount in coefficients.rest]
     changes = zip(
         uncertainties.sources, uncertainties.stiffness, uncertainties.damping, uncertainties.rest, strict=True
@@ -290,7 +288,6 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
 
 
 def _by_element(symbol: str, first: BearingCoefficients, matrices: FloatArray) -> dict[str, FloatArray]:
-    """Columns of the elements of matrices (n_point, n_dof, n_dof) by title."""
     kind = "damping" if symbol.endswith("c") else "stiffness"
     return {
         f"{symbol}_{row}_{column} [{first.unit(i, j, kind)}]": matrices[:, i, j]

@@ -191,7 +191,6 @@ def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
 
 
 def _swept_keys(owner: type, above: str = "") -> list[tuple[str, Setting]]:
-    """(dotted key, setting) of every entry that is a value with a unit."""
     keys: list[tuple[str, Setting]] = []
     for name, (setting, _) in settings_of(owner).items():
         if setting.kind == "value":

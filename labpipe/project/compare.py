@@ -202,7 +202,6 @@ def _to_si(text: str, si_unit: str | None) -> tuple[float, float]:
 
 
 def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
-    """The columns of a table as they are written and their units, by their names without the unit."""
     table = open_table(path)
     values = np.concatenate(list(table.chunks(table.columns)))
     columns: dict[str, tuple[FloatArray, str]] = {}

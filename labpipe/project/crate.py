@@ -107,7 +107,6 @@ def metadata(contents: Contents, date: str) -> bytes:
 
 
 def _heads(contents: Contents, date: str) -> Iterator[Entity]:
-    """The metadata file itself, the archive as a whole, its one folder."""
     title = contents.identification.title
     files = [{"@id": _id(member)} for member in contents.members if member.kept]
     yield {"@id": NAME, "@type": "CreativeWork", "conformsTo": {"@id": VERSION}, "about": {"@id": "./"}}
@@ -149,7 +148,6 @@ def _entity(member: Member) -> Entity:
 
 
 def _run(contents: Contents) -> Iterator[Entity]:
-    """The run as an action, and the software that did it."""
     commit_hash = commit()
     yield {
         "@id": "#run",
@@ -190,7 +188,6 @@ def read_metadata(content: bytes, where: str) -> Crate:
 
 
 def _root(entities: Mapping[str, Entity]) -> Entity:
-    """The entity that the metadata are about, found as RO-Crate says."""
     descriptor: Entity = {}
     for entity in entities.values():
         kind = entity.get("conformsTo")

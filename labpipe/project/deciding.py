@@ -112,7 +112,6 @@ def _process(decision: Decision, unit: str) -> tuple[float, float] | None:
 
 
 def _text(decision: Decision, value: float, error: float | None, unit: str) -> str:
-    """Value and uncertainty in the unit of the limits."""
     written = written_unit(decision.low or decision.high)
     if not written:
         return amount_text(value, error, unit)
@@ -149,7 +148,6 @@ def _outcome(
 
 
 def _specific(outcome: str, probability: float) -> float:
-    """The risk of this decision: of a false acceptance where the value passes, of a false rejection else."""
     return 1.0 - probability if outcome in (decisions.PASS, decisions.CONDITIONAL_PASS) else probability
 
 

@@ -255,7 +255,6 @@ def _describe(path: Path) -> Any:
 
 
 def _connect(distributed: Any, address: str, patience: float) -> Any:
-    """A client of the scheduler whose workers, waited for so many seconds, have this version of labpipe."""
     try:
         how = {"timeout": CONNECT_SECONDS, "set_as_default": False, "security": _security(address)}
         client = distributed.Client(address, **how)

@@ -62,7 +62,6 @@ def write_parquet(artefact: Path, target: Path) -> None:
 
 
 def _table(artefact: Path) -> pd.DataFrame | None:
-    """An artefact as a table by the ending of its name; None for an FRF."""
     tables = {
         ".json": parameter_table,
         measured_files.DECAY_SUFFIX: decay_table,
@@ -116,7 +115,6 @@ def modal_fits(artefact: Path) -> tuple[Fit, ...]:
 
 
 def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
-    """The fits of a result that have details of a kind; DataError where there is none."""
     fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(kind) is not None)
     if not fits:
         raise DataError(what, artefact, hint)
@@ -173,7 +171,6 @@ def decay_table(artefact: Path) -> pd.DataFrame:
 
 
 def _refuse_tables(artefact: Path, what: str) -> None:
-    """DataError for spectra of all channels and for decays, of which there are tables only."""
     for suffix, name in (
         (measured_files.SPECTRA_SUFFIX, "spectra of all channels"),
         (measured_files.DECAY_SUFFIX, "free decays"),
@@ -423,7 +420,6 @@ def _child(owner: ET.Element, name: str, text: str = "", space: str = DCC, **att
 
 
 def _name(owner: ET.Element, name: str, text: str) -> ET.Element:
-    """An element whose name is a text."""
     child = _child(owner, name)
     _child(_child(child, "name"), "content", text)
     return child
@@ -460,7 +456,6 @@ def _locate(contact: ET.Element) -> None:
 
 
 def _statement(owner: ET.Element, outcome: RuleOutcome) -> None:
-    """A rule as a statement of conformity, with what it found."""
     declared = f"{outcome.section}: {outcome.rule}; {outcome.found}"
     _child(_child(owner, "declaration"), "content", declared)
     word = "pass" if outcome.passed else "fail"
@@ -481,7 +476,6 @@ def _fit(owner: ET.Element, fit: Fit, key: str) -> None:
 
 
 def _quantity(owner: ET.Element, parameter: Parameter, key: str) -> None:
-    """A parameter with the half width of its stated interval as expanded uncertainty."""
     name = re.sub(r"[^A-Za-z0-9_.-]", "-", parameter.name)
     quantity = _name(owner, "quantity", parameter.name)
     quantity.set("id", f"{key}_{name}")

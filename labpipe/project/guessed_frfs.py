@@ -74,7 +74,6 @@ def guessed_frf(path: Path) -> GuessedFrf | None:
 
 
 def _of_records(path: Path) -> GuessedFrf | None:
-    """Universal FRFs: their form as the title has it, where it has."""
     frfs = [record for record in read_uff(path) if record.function == FRF]
     if not frfs:
         return None
@@ -188,7 +187,6 @@ def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
 
 
 def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:
-    """The first part (n,) of an element: its complex numbers, amplitude or real part."""
     return vectors[next(iter(parts.values()))]
 
 

@@ -80,7 +80,6 @@ def identify_stage(
 
 
 def _run_sections(work: Work) -> dict[str, Any]:
-    """The records of all sections by their key; fits are collected in the work."""
     records: dict[str, Any] = {}
     for name, settings in work.pipeline.sections.items():
         entry = section(name)
@@ -93,7 +92,6 @@ def _run_sections(work: Work) -> dict[str, Any]:
 
 
 def _same_work(existing: Identification, basis: Identification) -> bool:
-    """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
     failed_tests = tuple(
         failure for failure in existing.failed if not failure.name.startswith((COMPARE_PREFIX, FIT_PREFIX))
     )
@@ -102,7 +100,6 @@ def _same_work(existing: Identification, basis: Identification) -> bool:
 
 
 def _existing(output: OutputFolder) -> Identification | None:
-    """The result on disk, or None when there is none that this version reads."""
     path = output.read_path(NAME)
     if not path.exists():
         return None

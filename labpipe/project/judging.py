@@ -156,7 +156,6 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
 
 
 def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
-    """The outcome of a rule on the record of a section other than the fits; None for a rule on fits."""
     for name, record in records.items():
         outcome = section(name).outcome
         if outcome is not None and rule.fit in names_of(name, record):
@@ -182,7 +181,6 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
 
 
 def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[deciding.Limited]:
-    """The numbers that one of several limits addresses."""
     comparisons = [
         record
         for records_of in records.values()
@@ -219,7 +217,6 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
 
 
 def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
-    """What a rule finds in its fits of one test."""
     if rule.item == "warnings":
         compared = [compare_warnings(rule, fit.findings) for fit in addressed]
     else:

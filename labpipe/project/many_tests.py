@@ -161,7 +161,6 @@ def settings_of_many(pipeline: Pipeline) -> dict[str, Any]:
 
 
 def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOutcome]:
-    """The outcome of every rule over all tests."""
     for rule, partial in zip(rules, summary.partial or (PartialOutcome(),) * len(rules), strict=True):
         try:
             yield whole_outcome(rule, partial)
@@ -172,7 +171,6 @@ def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOu
 
 
 def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
-    """Name what was found damaged in the folder, and have parts that are not of this result removed."""
     for part in parts(output.target):
         try:
             read_header(part.path, "")

@@ -238,7 +238,7 @@ def _plain_or_yaml(text: str, where: str) -> Marked:
 
 
 def _keys(path: str) -> list[str]:
-    """The keys of a dotted path; rules under accept and expect are keys with dots themselves."""
+    # Rules are keys with dots themselves.
     section, _, rest = path.partition(".")
     return [section, rest] if section in ("accept", "expect") and rest else path.split(".")
 

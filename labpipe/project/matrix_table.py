@@ -38,7 +38,6 @@ def write_matrix_parquet(artefact: Path, target: Path) -> None:
 
 
 def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
-    """A result and its matrices; DataError where it has none."""
     if artefact.suffix != ".json":
         raise DataError("holds no matrix of tests", artefact, "they stand in identification.json")
     identification = read_identification(artefact)
@@ -162,7 +161,6 @@ def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit
 
 
 def _square(point: MatrixPoint, letter: str) -> FloatArray:
-    """K, C or M (2, 2) [SI]; zero where the model has none."""
     values = [point.value(f"{letter}_{axes}") for axes in ("xx", "xy", "yx", "yy")]
     return np.array([0.0 if value is None else value.parameter.value for value in values]).reshape(2, 2)
 

@@ -130,8 +130,6 @@ MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
-    """What recordings give: the *name* of the kind in headers, how it is written and read."""
-
     name: str
     suffix: str
     write: Callable[[Path, Any, Header], None]

@@ -283,7 +283,6 @@ def brought(job: Job) -> Iterator[Job]:
 
 
 def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
-    """What went into the test, and its result for a dataset."""
     with output_folder(job.target, job.scratch, remarks) as output:
         sources = sources_before(job) if job.measured_before else measure(job, output)
     if job.fits:
@@ -293,7 +292,6 @@ def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResu
 
 
 def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> TestResult:
-    """What the finished test comes to, from its files."""
     fits, digest = fits_with_digest(job.target / job.fits_name) if job.fits else ([], "")
     conditions, findings = job.test.conditions, []
     if job.test.recordings:
@@ -475,7 +473,6 @@ def _level(recording: StoredRecording, name: str) -> tuple[float, float, str]:
 
 
 def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of every channel, for a recording whose header does not state them."""
     names = [channel.name for channel in recording.channels]
     screen = ChannelScreen(names)
     for block in recording.blocks(READ_SAMPLES):

@@ -272,7 +272,6 @@ OfFit = TypeVar("OfFit", CompareSettings, MatrixSettings)
 
 
 def _of_a_fit(settings: OfFit | None, node: Marked, key: str, reading: Reading) -> OfFit | None:
-    """The settings, and a fault for a fit that is not there."""
     if settings is not None and settings.fit and settings.fit not in reading.names:
         hint = nearest(settings.fit, reading.names)
         reading.faults.add_at(node.content, key, "fit", f"there is no fit '{settings.fit}'", hint)
@@ -441,7 +440,6 @@ def _load(
 def _sections(
     entries: dict[str, Marked], rig: Rig | None, faults: Faults
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The settings of every section that the file has, and the names by which rules address them."""
     settings: dict[str, Any] = {}
     names: tuple[str, ...] = ()
     for name, entry in sections(entries):
@@ -498,7 +496,6 @@ def _check_kinds(
     frf: FrfSettings | None,
     faults: Faults,
 ) -> None:
-    """Faults of fits whose model is not of what the recordings give: free decays, spectra or responses."""
     if frf is None:
         return
     kinds = {test.name: (test.frf or frf).gives for test in tests if test.recordings}

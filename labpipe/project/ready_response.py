@@ -126,7 +126,6 @@ def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespo
 
 
 def _rename(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
-    """The ports under the dofs of the entry, if it gives any."""
     if dofs and len(dofs) != len(ports):
         raise DataError(f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", path)
     return tuple(map(port_of, dofs)) or ports

@@ -159,7 +159,6 @@ def write_reports(
 
 
 def _draw(identification: Identification, folder: Path, report_format: str) -> bytes:
-    """The report as a file's bytes; of a result of many tests, whose *folder* holds them, their summary."""
     if identification.dataset is None:
         content: bytes = _renderer("RENDERERS", report_format)(identification)
     else:

@@ -152,7 +152,6 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
 def _match(
     address: str, entry: Marked, key: str, faults: Faults, fits: tuple[str, ...]
 ) -> re.Match[str] | None:
-    """The parts of an address; None and a fault for one that the pipeline does not have."""
     match = _ADDRESS.match(address)
     if match is None:
         faults.add(entry, key, "is not an address", "write fit.parameter, for example direct.k")
@@ -169,7 +168,6 @@ def _match(
 def _decide(
     section: str, address: str, entry: Marked, match: re.Match[str], faults: Faults
 ) -> tuple[Rule, ...]:
-    """The rule with limits on one number; none and faults where it cannot be read."""
     key = f"{section}.{address}"
     decision = _read_decision(entry, key, faults)
     if match["item"].rpartition(".")[2] in (*WORDS, "covers"):
@@ -186,7 +184,6 @@ def _decide(
 def _together(
     section: str, address: str, entry: Marked, faults: Faults, fits: tuple[str, ...]
 ) -> tuple[Rule, ...]:
-    """The rule that several limits hold at once; none and faults where it cannot be read."""
     key = f"{section}.{address}"
     before = len(faults)
     for name in ("limits", "min", "max", "guard", "process"):
@@ -215,7 +212,6 @@ def _together(
 
 
 def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
-    """How is decided; None and faults where it cannot be read."""
     before = len(faults)
     faults.unknown_keys(entry, key, DECISION_KEYS)
     nodes = entry.content
@@ -250,7 +246,6 @@ def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
 
 
 def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
-    """The limits as texts, empty where a side is open."""
     nodes = entry.content
     if "limits" in nodes and ("min" in nodes or "max" in nodes):
         faults.add_at(nodes, key, "limits", "limits are given twice", "leave min and max out")
@@ -278,14 +273,12 @@ def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
 
 
 def _amount(text: str) -> tuple[float, Any]:
-    """A number in SI with its dimension."""
     written = written_unit(text) or "1"
     unit = parse_unit(written)
     return parse_value(text, written) * unit.factor + unit.offset, unit.dimension
 
 
 def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[float, float]) -> float | None:
-    """A number between two others; None where none is given or it cannot be read."""
     if node is None:
         return None
     try:
@@ -299,7 +292,6 @@ def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[fl
 
 
 def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, ...]:
-    """The outcomes with which a rule holds: one, or a list of them."""
     if node is None:
         return (PASS,)
     texts = [entry.text for entry in listed(node)]
@@ -315,7 +307,6 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
 
 
 def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]:
-    """The texts of an entry: one, or a list of which all must hold."""
     what = item.rpartition(".")[2]
     nodes = listed(entry)
     if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):

@@ -167,7 +167,6 @@ def runs_of(path: Path) -> list[Run]:
 
 
 def _read(path: Path) -> tuple[list[Run], str]:
-    """The runs of a record, and the digest of its last line."""
     runs: list[Run] = []
     digest = NOTHING
     for number, line in enumerate(path.read_bytes().splitlines(keepends=True), 1):
@@ -210,7 +209,6 @@ def head(path: Path) -> str:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """The digests of the results below a folder by their names relative to it."""
     return {
         path.relative_to(folder).as_posix(): _digest(path)
         for path in sorted(without_staging(folder.rglob(NAME)))
@@ -218,5 +216,4 @@ def _digests(folder: Path) -> dict[str, str]:
 
 
 def _digest(path: Path) -> str:
-    """The SHA-256 of a result as it lies there."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

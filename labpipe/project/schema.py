@@ -56,7 +56,6 @@ def rig_schema() -> dict[str, Any]:
 
 
 def _recordings() -> dict[str, Any]:
-    """`recordings:`: files by name or glob, or with a rig, channels and a pattern of their own."""
     entry = {
         "type": "object",
         "properties": {
@@ -81,7 +80,6 @@ def _recordings() -> dict[str, Any]:
 
 
 def _frfs() -> dict[str, Any]:
-    """`frfs:`: files of frequency responses, by name or with their layout."""
     described = object_schema(FrfLayout)
     simple = [{"type": "string"}, described]
     return {"anyOf": [*simple, {"type": "array", "items": {"anyOf": simple}}]}
@@ -146,7 +144,6 @@ def pipeline_schema() -> dict[str, Any]:
 
 
 def _decision() -> dict[str, Any]:
-    """A rule that gives limits."""
     texts: dict[str, Any] = {key: {"description": meaning} for key, meaning in DECISION_KEYS.items()}
     texts["rule"]["enum"] = list(DECISIONS)
     return {"type": "object", "properties": texts, "additionalProperties": False}

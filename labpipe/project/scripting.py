@@ -209,7 +209,6 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
 
 
 def _calibrate(path: Path, rig: Rig) -> Recording:
-    """The recording as the rig file describes it, through the same stage as on the command line."""
     import tempfile
 
     with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as output:
@@ -217,7 +216,6 @@ def _calibrate(path: Path, rig: Rig) -> Recording:
 
 
 def _by_itself(path: Path) -> Recording:
-    """The recording as the file describes it; DataError for channels without quantity or unit."""
     table = open_table(path)
     names, rows = first_rows(table)
     time = time_columns(names, rows)[:1] if table.sample_rate is None else []

@@ -320,10 +320,6 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
 
 
 def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
-    """A section, sections by name (pairs), or a list of sections.
-
-    None and faults where one cannot be read.
-    """
     assert setting.section is not None
     if setting.kind == "section":
         return read_settings(setting.section, node, key, faults)
@@ -345,7 +341,6 @@ def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
 
 
 def _content(node: Marked, name: str | None, setting: Setting, key: str, faults: Faults) -> Any:
-    """What the named file holds; None and its faults where it cannot be read."""
     if name is None:
         return None
     try:

@@ -38,7 +38,6 @@ USAGES = {"non_repudiation", "digital_signature"}
 
 
 def _library(name: str) -> Any:
-    """A module of the extra; ConfigError where it is not installed."""
     import importlib
 
     try:
@@ -350,7 +349,6 @@ def _statement(path: Path, status: Any, role: str, reason: str, faults: tuple[st
 
 
 def _time_of_stamp(status: Any) -> datetime.datetime | None:
-    """The time of a time stamp that holds and that somebody vouches for."""
     stamp = status.timestamp_validity
     return stamp.timestamp if stamp is not None and stamp.trusted else None
 
@@ -390,7 +388,6 @@ def drawn_from_another(path: Path) -> str:
 
 
 def _detach(path: Path, trust: Trust) -> Signature:
-    """A detached signature and the file beside it that it signs."""
     cms, validation = _library("asn1crypto.cms"), _library("pyhanko.sign.validation")
     signed = path.with_name(path.name.removesuffix(DETACHED).rpartition(".")[0])
     try:
@@ -413,7 +410,6 @@ def _detach(path: Path, trust: Trust) -> Signature:
 
 
 def _words(signer_info: Any) -> dict[str, Any]:
-    """The words that were signed along; none of a signature that another program made."""
     for attribute in signer_info["signed_attrs"]:
         if attribute["type"].dotted == HINTS:
             text = attribute["values"][0].parse(_library("asn1crypto.core").Sequence)[0].native
@@ -423,7 +419,6 @@ def _words(signer_info: Any) -> dict[str, Any]:
 
 
 def _changes(path: Path, members: dict[str, str]) -> Sequence[str]:
-    """The files of an archive that are not those that were signed, by their names."""
     now = members_of(path)
     changed = [name for name in members if name in now and now[name] != members[name]]
     kinds = (

@@ -107,7 +107,6 @@ def _parameter_table(case: StudyCase) -> Table:
 
 
 def _means_table(study: Study, fit: str) -> Table:
-    """Mean of every coefficient over the noise levels, below the truth."""
     cases = [case for case in study.cases if case.fit == fit and case.parameters]
     names = [p.name for p in cases[0].parameters]
     truth = ("truth", *(f"{p.truth:.4g}" for p in cases[0].parameters))
@@ -147,7 +146,6 @@ def _noise_figure(study: Study) -> Figure:
 
 
 def _curve(cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None], number: int) -> Series:
-    """A quantity of one fit over the noise [%], NaN where a case has none."""
     values = [np.nan if (amount := value(case)) is None else amount for case in cases]
     return curve(cases[0].fit, [100 * case.noise for case in cases], values, *look(number), marker=".")
 

@@ -60,7 +60,6 @@ def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> l
 
 
 def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The response of an entry with `each:`, or the responses of the files that `file:` names."""
     layout = settings_reader.read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
@@ -86,7 +85,6 @@ def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[Re
 def _dofs(
     path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The dofs of a file's rows and columns: from its name, else from the entry."""
     named = _name(path, layout, node, key, faults) if layout.pattern else {}
     outputs = (named["output"],) if "output" in named else layout.output
     inputs = (named["input"],) if "input" in named else layout.input
@@ -96,7 +94,6 @@ def _dofs(
 def _name(
     path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
 ) -> dict[str, str]:
-    """The dofs in a file's name."""
     matched = settings_reader.conditions_in(settings_reader.plain_stem(path), layout.pattern)
     if matched is not None and set(matched) <= {"output", "input"}:
         return matched
@@ -119,7 +116,6 @@ def _check_dofs(
     key: str,
     faults: settings_reader.Faults,
 ) -> None:
-    """A fault where the dofs of a described file are not as many as its description needs."""
     assert layout.table is not None
     # An element named o/i has both dofs, one named o has its input from the entry.
     has_all = bool(layout.elements) and (word == "output" or all("/" in name for name, _ in layout.elements))
@@ -256,7 +252,6 @@ class RecordingReader:
         return node.text if node is not None else ""
 
     def _move(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
-        """The rig with the dofs that the file's name says."""
         node = entry.content.get("pattern")
         if node is None:
             return rig
@@ -274,7 +269,6 @@ class RecordingReader:
             return rig
 
     def _rig(self, entry: Marked, key: str) -> Rig | None:
-        """The rig of one recording: its rig file, with the recording's channel entries."""
         rig_node = entry.content.get("rig", self.rig_node)
         if rig_node is None:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
@@ -373,7 +367,6 @@ class TestReader:
         return tuple(tests.values())
 
     def _entry(self, node: Marked, number: int) -> Iterator[Test]:
-        """The test of an entry, or one test per file of an entry with `each:`."""
         key = f"tests.{number}"
         entries = self.faults.mapping(node, key)
         if entries:
@@ -432,7 +425,6 @@ class TestReader:
         return self._each(entries, "tests.1")
 
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
-        """The parts of the pattern that tell the recordings of one test apart."""
         if "together" not in entries:
             return []
         pattern = entries["pattern"].text if "pattern" in entries else ""
@@ -490,7 +482,6 @@ class TestReader:
     def _conditions(
         self, entries: dict[str, Marked], key: str
     ) -> tuple[dict[str, str], dict[str, RecordedCondition]]:
-        """Conditions as they are written, and those that are recorded: {channel: NAME} or {tacho: NAME}."""
         written: dict[str, str] = {}
         recorded: dict[str, RecordedCondition] = {}
         if "conditions" not in entries:

@@ -165,10 +165,6 @@ def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
 
 
 def _digest(name: str, folders: Sequence[Path]) -> str | None:
-    """The digest of a file that an artefact names, in one of some folders or by its URL.
-
-    None where it is not there.
-    """
     address = Path(name)
     if not is_remote(address):
         here = next((candidate for place in folders if (candidate := place / name).is_file()), None)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-import tokenize
 import warnings
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +13,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
-from labpipe.raw_files.text_table import check_filled, not_readable
+from labpipe.raw_files.text_table import check_filled, reading
 
 # Named arrays of one file as a table: the longest vectors of equal length are the channels, a scalar such
 # as fs or dt their rate.
@@ -199,12 +196,6 @@ class ArraysTable:
 
 # NumPy's .npy and .npz files; nothing in them is unpickled.
 
-_BROKEN = (
-    ValueError, TypeError, OSError, EOFError, KeyError, SyntaxError, OverflowError, MemoryError,
-    NotImplementedError,
-    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-
 
 def load_arrays(path: Path) -> dict[str, Any]:
     """The arrays of a .npz file by name, that of a .npy file under ''.
@@ -212,17 +203,14 @@ def load_arrays(path: Path) -> dict[str, Any]:
     DataError for a damaged file or one of pickled objects.
     """
     check_filled(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mode: Any = "r" if path.suffix.lower() == ".npy" else None
-            stored = np.load(path, allow_pickle=False, mmap_mode=mode)
-            if isinstance(stored, np.ndarray):
-                return {"": stored}
-            with stored:
-                return {name: stored[name] for name in stored.files}
-    except _BROKEN as error:
-        raise not_readable(path, "NumPy file of numbers", error) from None
+    with reading(path, "NumPy file of numbers"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mode: Any = "r" if path.suffix.lower() == ".npy" else None
+        stored = np.load(path, allow_pickle=False, mmap_mode=mode)
+        if isinstance(stored, np.ndarray):
+            return {"": stored}
+        with stored:
+            return {name: stored[name] for name in stored.files}
 
 
 def numpy_table(path: Path) -> ArraysTable:

@@ -167,7 +167,6 @@ def _local(element: ET.Element) -> str:
 
 
 def _check_children(element: ET.Element, needed: Sequence[str], others: Sequence[str] = ()) -> None:
-    """UnitError unless an element of the DCC has every needed child once, and no other twice or unknown."""
     names = [child.tag for child in element if not child.tag.endswith("}Signature")]
     for tag in names:
         if tag.removeprefix(DCC) not in (*needed, *others):
@@ -221,7 +220,6 @@ _PERIOD = re.compile(r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)D)?")
 
 
 def _after(day: datetime.date, period: str) -> datetime.date:
-    """The day after a period such as P2Y or P6M."""
     match = _PERIOD.fullmatch(period)
     if match is None or not any(match.groups()):
         raise UnitError(f"the period '{period}' is none of years, months and days")

@@ -268,7 +268,6 @@ def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> 
 
 
 def _signals(lines: IntArray, amplitudes: ComplexArray, n_sample: int) -> FloatArray:
-    """(n_signal, n_sample): one period."""
     spectrum = np.zeros((amplitudes.shape[1], n_sample // 2 + 1), np.complex128)
     spectrum[:, lines] = amplitudes.T * (n_sample / 2)
     return np.asarray(fft.irfft(spectrum, n_sample, axis=1))

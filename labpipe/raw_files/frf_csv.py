@@ -65,8 +65,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
 
 def checked_coherence(values: Any, where: Path | str) -> Any:
     """Coherences [1] of any shape as they are, None without; DataError for one that is none."""
-    if values is not None and np.any(beyond := np.abs(values - 0.5) > HIGHEST - 0.5):
-        what = f"holds the coherence {values[beyond][0]:g}"
+    if values is not None and np.any((beside := np.abs(values - 0.5)) > HIGHEST - 0.5):
+        what = f"holds the coherence {values.flat[np.argmax(beside)]:g}"
         raise DataError(what, where, "they lie between 0 and 1, and are not in per cent")
     return values
 
@@ -81,7 +81,6 @@ def port_of(label: str) -> Port:
 
 
 def _form(path: Path) -> str:
-    """The form named in the comment lines above the table; receptance by default."""
     with open_text(path, "utf-8-sig") as lines:
         for number, line in enumerate(lines, 1):
             comment = line.strip(' \r\n\t"')

@@ -61,7 +61,6 @@ class TextColumns:
         self._rows = self._read()
 
     def _read(self) -> list[tuple[int, list[str]]]:
-        """(line number from 1, fields) of every row; DataError for a row of another length."""
         layout, rows = self.layout, []
         with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines, 1):
@@ -120,7 +119,6 @@ class DescribedColumns:
         self._units, self._read = units, read
 
     def _index(self, described: str) -> int:
-        """The place of a name, else of a number from 1; DataError with the nearest name."""
         count = self.names.count(described)
         if count == 1:
             return self.names.index(described)
@@ -347,7 +345,6 @@ def _labels(
 
 
 def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayout) -> ComplexArray:
-    """One element (n_frequency,) [unit of the file]."""
     first, *second = (getattr(columns, name) for name in columns.given)
     _check_stated(source, first, columns.given[0], layout)
     if not second:
@@ -399,7 +396,6 @@ def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
 
 
 def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) -> FloatArray:
-    """The frequencies (n_frequency,) [Hz]; DataError where they do not increase."""
     column = table.frequency or table.omega
     if not column:
         if n_line is None:

@@ -88,7 +88,6 @@ def _nodes(lines: list[str]) -> dict[int, list[float]]:
 
 
 def _trace(lines: list[str]) -> list[tuple[int, int]]:
-    """Pairs of neighbours along a trace line; 0 lifts the pen."""
     labels = [int(word) for word in " ".join(lines[2:]).split()]
     return [(a, b) for a, b in pairwise(labels) if a and b]
 

@@ -237,7 +237,6 @@ def _time_of(table: Table) -> str:
 
 
 def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) [s] and rows (n, n_name) [unit of the file] of a table."""
     time = _time_of(table)
     rows = np.concatenate(list(table.chunks([time, *names] if time else names)))
     if rows.shape[0] < 2 or not np.isfinite(rows).all():

@@ -17,14 +17,14 @@ from typing import Any
 import h5py
 import numpy as np
 import scipy
-from scipy.io.matlab import MatlabOpaque, MatReadError
+from scipy.io.matlab import MatlabOpaque
 
 from labpipe.errors import DataError
 from labpipe.quantities import may_agree
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, distinct, is_numeric, rate_of
 from labpipe.raw_files.simcenter import labels_and_units, signals_of
 from labpipe.raw_files.table import check_in_child
-from labpipe.raw_files.text_table import check_filled, not_readable
+from labpipe.raw_files.text_table import check_filled, reading
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 
@@ -66,12 +66,9 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
     DataError when the file is damaged.
     """
     check_hdf5(path)
-    try:
-        with h5py.File(path, "r") as file:
-            hard = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
-            return {name: _value(file, file[name]) for name in hard if isinstance(file[name], h5py.Dataset)}
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
-        raise not_readable(path, "HDF5 file", error) from None
+    with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
+        hard = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
+        return {name: _value(file, file[name]) for name in hard if isinstance(file[name], h5py.Dataset)}
 
 
 def hdf5_names(path: Path) -> tuple[str, ...]:
@@ -83,11 +80,8 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
             names.append(name)
 
     check_hdf5(path)
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(add)
-    except (OSError, RuntimeError, KeyError) as error:
-        raise not_readable(path, "HDF5 file", error) from None
+    with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
+        file.visititems(add)
     return tuple(names)
 
 
@@ -199,11 +193,6 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
 # MATLAB files of versions 4 to 7, and of 7.3 as HDF5; no content is executed or unpickled.
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_BROKEN = (
-    ValueError, TypeError, OSError, KeyError, IndexError, EOFError, NotImplementedError, OverflowError,
-    MemoryError, UnicodeDecodeError,
-    struct.error, zlib.error, MatReadError,
-)  # fmt: skip
 
 
 def is_hdf5(path: Path) -> bool:
@@ -216,13 +205,10 @@ def is_hdf5(path: Path) -> bool:
 def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
     check_filled(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            check_elements(path)
-            variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
-    except _BROKEN as error:
-        raise not_readable(path, "MATLAB file", error) from None
+    with reading(path, "MATLAB file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_elements(path)
+        variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
     return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 
@@ -348,16 +334,13 @@ def hdf5_table(path: Path) -> ArraysTable:
 
     Links into other files are not followed.
     """
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", path)
+    check_filled(path)
     check_hdf5(path)
-    try:
+    with reading(path, "HDF5 file"):
         file = h5py.File(path, "r")
         sets = _numeric_sets(file)
         scalars = {name: float(np.asarray(item[()]).item()) for name, item in sets.items() if item.size == 1}
         scalars |= _rate_attributes(file, sets)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", path) from None
     vectors = {key: item for key, item in sets.items() if item.size > 1}
     columns = distinct(
         (pair for key, item in vectors.items() for pair in columns_of(key, item).items()), path
@@ -371,7 +354,6 @@ def hdf5_table(path: Path) -> ArraysTable:
 
 
 def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
-    """Data sets of texts by name; of MATLAB's chars and cells nothing is read here."""
     texts: dict[str, list[str]] = {}
 
     def add(name: str, item: Any) -> None:

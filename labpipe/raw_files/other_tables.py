@@ -19,7 +19,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, numpy_array, open_parquet
 from labpipe.errors import DataError
 from labpipe.raw_files.table import load_extra
-from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, not_readable
+from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, reading
 
 CHUNK_ROWS = 1 << 17
 # Integers of up to so many bits are exact as float64; of longer ones pyarrow refuses those that are not.
@@ -63,19 +63,12 @@ class ParquetTable:
 
 
 def _numbers(column: pa.Array) -> FloatArray:
-    """The numbers of a column (n,) [unit of the file].
-
-    Those of a kind that float64 does not hold exactly as float64, or refused.
-    """
     exact = pa.types.is_floating(column.type) or column.type.bit_width <= MOST_EXACT_BITS
     values: FloatArray = numpy_array(column if exact and not column.null_count else column.cast(pa.float64()))
     return values
 
 
 # WAV files: one column per track, 1 at full scale; the rig's sensitivity converts full scale.
-
-
-_BROKEN = ValueError, TypeError, OSError, EOFError, struct.error, UnboundLocalError, ZeroDivisionError
 
 
 class WavTable:
@@ -101,15 +94,12 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
     check_filled(path)
     _check_length(path)
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                rate, samples = wavfile.read(str(path), mmap=True)
-            except ValueError:
-                rate, samples = wavfile.read(str(path))
-    except _BROKEN as error:
-        raise not_readable(path, "WAV file", str(error) or "cut off") from None
+    with reading(path, "WAV file"), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            rate, samples = wavfile.read(str(path), mmap=True)
+        except ValueError:
+            rate, samples = wavfile.read(str(path))
     if any("EOF" in str(warning.message) for warning in caught):
         raise DataError("ends before its last sample", path, "the file is truncated")
     if rate <= 0:
@@ -176,16 +166,12 @@ class XlsxTable:
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
         openpyxl = load_extra("openpyxl", "excel", self.path)
         check_filled(self.path)
-        try:
-            with warnings.catch_warnings():
-                # Of styles and extensions that are no numbers.
-                warnings.simplefilter("ignore")
-                book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
-                sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
-                book.close()
-        # The library has errors of many kinds for a damaged file.
-        except Exception as error:
-            raise not_readable(self.path, "Excel workbook", error) from None
+        with reading(self.path, "Excel workbook"), warnings.catch_warnings():
+            # Of styles and extensions that are no numbers.
+            warnings.simplefilter("ignore")
+            book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
+            sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
+            book.close()
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
         if len(numeric) != 1:
             what = f"several sheets hold numbers: {', '.join(numeric)}"
@@ -218,7 +204,6 @@ class XlsxTable:
 
 
 def _is_numeric(row: Row) -> bool:
-    """True for a row of numbers and dates, some of which may be missing."""
     cells = [cell for cell in row if cell is not None]
     is_value = all(
         isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells

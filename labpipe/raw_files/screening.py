@@ -51,7 +51,6 @@ class EndValues:
 
     @property
     def _reached(self) -> float:
-        """From where on values, times the sign, are counted."""
         lowest = float(self._values[0])
         return lowest - AT_LIMIT * abs(lowest)
 
@@ -335,7 +334,6 @@ class ChannelScreen:
         return tuple(faults)
 
     def _check_size(self, number: int, name: str) -> None:
-        """DataError for a channel whose numbers are so small that their squares vanish."""
         largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
         if largest < SMALLEST:
             what = f"channel {name}: no number above {largest:g}, which nothing measures"

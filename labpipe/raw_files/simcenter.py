@@ -92,7 +92,6 @@ def _unit(fields: Mapping[str, Any], place: str) -> str:
 
 
 def _number(fields: Mapping[str, Any], key: str) -> float:
-    """The one number of a field, not finite where it holds none."""
     array = np.asarray(fields.get(key, ()))
     return float(array.item()) if array.size == 1 and array.dtype.kind in "iuf" else np.nan
 

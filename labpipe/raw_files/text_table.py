@@ -22,7 +22,7 @@ import pyarrow.csv as pc
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import numpy_array
 from labpipe.artefacts.writing import text_of
-from labpipe.errors import DataError, cut
+from labpipe.errors import DataError, LabpipeError, cut
 from labpipe.quantities import UnitError, parse_unit
 
 PACKED = (".gz", ".zst")
@@ -54,6 +54,17 @@ def not_readable(path: Path, kind: str, error: object) -> DataError:
     """The error of a file of a *kind* for which its library has none of its own."""
     reason = (str(error).splitlines() or ["damaged"])[0].rstrip(".")
     return DataError(f"is not a readable {kind} ({reason[:80]})", path)
+
+
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """DataError for whatever a library raises inside the block for a damaged file of a *kind*."""
+    try:
+        yield
+    except LabpipeError:
+        raise
+    except Exception as error:
+        raise not_readable(path, kind, error) from None
 
 
 def check_filled(path: Path) -> None:
@@ -305,9 +316,6 @@ def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bo
 def _numeric_rows(
     lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber
 ) -> tuple[list[int], int]:
-    """The lines of the sample that are rows of numbers, and their number of fields (the most frequent
-    one).
-    """
     counts: dict[int, list[int]] = {}
     for number in sample:
         if _is_numeric(lines[number], delimiter, decimal, is_cell):
@@ -457,7 +465,6 @@ class CsvTable:
 
     @contextmanager
     def _bytes(self) -> Iterator[Any]:
-        """The file, or its unpacked bytes, in which one blank stands between two fields."""
         if self.layout.delimiter == BLANKS:
             with SqueezedBlanks(open_unpacked(self.path), self.layout.encoding) as stream:
                 yield stream

@@ -114,7 +114,6 @@ def _response(
 
 
 def _key(point: uff.UffPoint) -> Key:
-    """Point and direction, without the sign."""
     return point.name, point.node, abs(point.direction)
 
 
@@ -370,7 +369,6 @@ def frf_values(path: Path, records: Sequence[uff.UffRecord]) -> tuple[FloatArray
 
 
 def _labelled_form(record: uff.UffRecord) -> str:
-    """The form of which the label of a record with open data types is a unit; '' for none."""
     unit = readable_unit(record.ordinate.unit, 12) if record.ordinate.unit else ""
     dimension = parse_unit(unit).dimension if unit else None
     return next((f for f in FORMS.values() if parse_unit(RESPONSE_FORMS[f]).dimension == dimension), "")

@@ -126,7 +126,6 @@ def _labels(geometry: Geometry) -> list[int]:
 
 
 def _structure(geometry: Geometry, labels: Sequence[int]) -> list[dict[str, Any]]:
-    """Nodes, and one trace line that lifts the pen (0) ahead of every pair."""
     places = dict(zip("xyz", geometry.positions.T, strict=True))
     trace = [label for a, b in geometry.lines.tolist() for label in (0, labels[a], labels[b])]
     line = {"type": 82, "trace_num": 1, "id": "lines of the structure", "nodes": np.array(trace)}
