@@ -8,7 +8,7 @@ import csv
 import datetime
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -96,9 +96,7 @@ def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
     """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
     value, _, unit = text.strip().partition(" ")
     number = uncertain.parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
-    return uncertain.Uncertain(
-        1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source
-    )
+    return replace(number, value=1.0, std_error=number.std_error / abs(number.value))
 
 
 def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
@@ -111,21 +109,14 @@ def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
     _, uncertainty = uncertain.split_uncertainty(written.dof)
     if uncertainty:
-        yield _of_channel(
-            written, "direction", uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad"), "dof"
-        )
+        number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")
+        yield _of_channel(written, "direction", number, "dof")
 
 
 def _of_chain(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    if written.chain is None:
-        return
-    if written.chain.gain:
-        yield _of_channel(
-            written, "gain", uncertain.parse_uncertain(f"1 +- {written.chain.gain}", "1"), "gain"
-        )
-    if written.chain.phase:
-        number = uncertain.parse_uncertain(f"0 rad +- {written.chain.phase}", "rad")
-        yield _of_channel(written, "phase", number, "phase")
+    for effect, number, unit in (("gain", "1", "1"), ("phase", "0 rad", "rad")):
+        if size := getattr(written.chain, effect, ""):
+            yield _of_channel(written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect)
 
 
 @dataclass(frozen=True)

@@ -104,8 +104,6 @@ def write_mat(artefact: Path, target: Path) -> None:
 
 def write_shapes(artefact: Path, target: Path) -> None:
     """The mode shapes of a result as a table: one row per mode and point."""
-    if artefact.suffix != ".json":
-        raise DataError("holds no mode shapes", artefact, "they stand in identification.json")
     write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
@@ -114,8 +112,15 @@ def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     return _fits_with(Modes, artefact, "holds no mode shapes", "parameters are written as csv or parquet")
 
 
+def result_of(artefact: Path, what: str) -> Identification:
+    """The result of a file; DataError that says *what* any other artefact lacks."""
+    if artefact.suffix != ".json":
+        raise DataError(what, artefact, "name an identification.json, which has it")
+    return read_identification(artefact)
+
+
 def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
-    fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(kind) is not None)
+    fits = tuple(fit for fit in result_of(artefact, what).fits if fit.detail(kind) is not None)
     if not fits:
         raise DataError(what, artefact, hint)
     return fits
@@ -150,7 +155,7 @@ def recording_table(artefact: Path) -> pd.DataFrame:
     record = open_recording(artefact).in_memory()
     names = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
     table = pd.DataFrame(record.samples, columns=names)
-    table.insert(0, "t [s]", [n / record.sample_rate for n in range(record.n_sample)])
+    table.insert(0, "t [s]", np.arange(record.n_sample) / record.sample_rate)
     return table
 
 
@@ -162,19 +167,18 @@ def decay_table(artefact: Path) -> pd.DataFrame:
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
     tables = []
     for number, decay in enumerate(decays.decays, 1):
-        table = pd.DataFrame(decay.samples, columns=names)
-        table.insert(0, "t [s]", [decay.start + n / decays.sample_rate for n in range(len(table))])
-        table.insert(0, "recording", decay.recording)
-        table.insert(0, "decay", number)
-        tables.append(table)
+        times = decay.start + np.arange(len(decay.samples)) / decays.sample_rate
+        head = {"decay": number, "recording": decay.recording, "t [s]": times}
+        tables.append(pd.concat([pd.DataFrame(head), pd.DataFrame(decay.samples, columns=names)], axis=1))
     return pd.concat(tables, ignore_index=True)
 
 
 def _refuse_tables(artefact: Path, what: str) -> None:
-    for suffix, name in (
-        (measured_files.SPECTRA_SUFFIX, "spectra of all channels"),
-        (measured_files.DECAY_SUFFIX, "free decays"),
-    ):
+    tables = {
+        measured_files.SPECTRA_SUFFIX: "spectra of all channels",
+        measured_files.DECAY_SUFFIX: "free decays",
+    }
+    for suffix, name in tables.items():
         if artefact.name.endswith(suffix):
             raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
 
@@ -241,9 +245,7 @@ def covariance_table(artefact: Path) -> pd.DataFrame:
     error in all fits: between two fits they add the product of `change`, that of a parameter by one standard
     uncertainty of the source. DataError for another artefact.
     """
-    if artefact.suffix != ".json":
-        raise DataError("holds no parameters", artefact, "they stand in identification.json")
-    rows = [row for fit in read_identification(artefact).fits for row in _rows(fit)]
+    rows = [row for fit in result_of(artefact, "holds no parameters").fits for row in _rows(fit)]
     if not rows:
         raise DataError("no parameter of it has an uncertainty", artefact)
     return pd.DataFrame(rows)
@@ -345,13 +347,8 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
 
 def robust_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have a plant; DataError where there is none."""
-    if artefact.suffix != ".json":
-        raise DataError(
-            "holds no plant", artefact, "plants stand in identification.json, of fits of the model magnet"
-        )
-    return _fits_with(
-        RobustPlant, artefact, "holds no plant", "model: magnet, with one run per axis at least"
-    )
+    hint = "of fits of the model magnet, with one run per axis at least"
+    return _fits_with(RobustPlant, artefact, "holds no plant", hint)
 
 
 def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: str = "u [V]") -> None:
@@ -398,9 +395,7 @@ def write_dcc(artefact: Path, target: Path) -> None:
     """The parameters of a result with their expanded uncertainties, and the outcomes of its rules; the same
     bytes for the same result. DataError for an artefact that is no result.
     """
-    if artefact.suffix != ".json":
-        raise DataError("cannot be written as a certificate", artefact, "name an identification.json")
-    identification = read_identification(artefact)
+    identification = result_of(artefact, "cannot be written as a certificate")
     ET.register_namespace("dcc", DCC[1:-1])
     ET.register_namespace("si", SI[1:-1])
     root = ET.Element(f"{DCC}digitalCalibrationCertificate", schemaVersion=SCHEMA)

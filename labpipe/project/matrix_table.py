@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import write_table_csv
 from labpipe.errors import DataError
+from labpipe.project.exports import result_of
 from labpipe.quantities import to_display
 from labpipe.raw_files.table import load_extra
 from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_unit
@@ -38,9 +38,7 @@ def write_matrix_parquet(artefact: Path, target: Path) -> None:
 
 
 def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
-    if artefact.suffix != ".json":
-        raise DataError("holds no matrix of tests", artefact, "they stand in identification.json")
-    identification = read_identification(artefact)
+    identification = result_of(artefact, "holds no matrix of tests")
     matrices: tuple[ConditionMatrix, ...] = identification.sections.get("matrix", ())
     if not matrices:
         raise DataError("holds no matrix of tests", artefact, "the pipeline needs a section matrix:")

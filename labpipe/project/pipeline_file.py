@@ -395,8 +395,8 @@ def _load(
     entries = faults.mapping(tree, "")
     if entries:
         faults.unknown_keys(tree, "", section_names())
-    rig = read_rig(entries.get("rig"), path.parent, faults, "rig")
-    tests = tests_of(TestReader(entries, path.parent, rig, faults))
+    rig = read_rig(entries.get("rig"), faults, "rig")
+    tests = tests_of(TestReader(entries, rig, faults))
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
     report = (
         read_settings(ReportSettings, entries["report"], "report", faults)

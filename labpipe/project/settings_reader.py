@@ -382,7 +382,7 @@ def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False)
             faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
         return matches
     if not path.exists():
-        faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
+        faults.add_missing_file(node, key)
         return []
     return [path]
 

@@ -85,27 +85,16 @@ def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[Re
 def _dofs(
     path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    named = _name(path, layout, node, key, faults) if layout.pattern else {}
+    stem = settings_reader.plain_stem(path)
+    named = settings_reader.conditions_in(stem, layout.pattern) if layout.pattern else {}
+    if named is None or not set(named) <= {"output", "input"}:
+        what = f"does not match '{stem}'" if named is None else "holds more than {output} and {input}"
+        hint = "for example 'H_{output}_{input}'; {} stands for any other part"
+        faults.add_at(node.content, key, "pattern", what, hint)
+        named = {"output": "?", "input": "?"}
     outputs = (named["output"],) if "output" in named else layout.output
     inputs = (named["input"],) if "input" in named else layout.input
     return outputs, inputs
-
-
-def _name(
-    path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
-) -> dict[str, str]:
-    matched = settings_reader.conditions_in(settings_reader.plain_stem(path), layout.pattern)
-    if matched is not None and set(matched) <= {"output", "input"}:
-        return matched
-    what = (
-        f"does not match '{settings_reader.plain_stem(path)}'"
-        if matched is None
-        else "holds more than {output} and {input}"
-    )
-    faults.add_at(
-        node.content, key, "pattern", what, "for example 'H_{output}_{input}'; {} stands for any other part"
-    )
-    return {"output": "?", "input": "?"}
 
 
 def _check_dofs(
@@ -162,15 +151,15 @@ class SourceFile:
         )
 
 
-def read_rig(node: Marked | None, folder: Path, faults: settings_reader.Faults, key: str) -> Rig | None:
+def read_rig(node: Marked | None, faults: settings_reader.Faults, key: str) -> Rig | None:
     """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
     if node is None:
         return None
     try:
-        return load_rig(folder / node.text)
+        return load_rig(faults.folder / node.text)
     except ConfigError as error:
         if error.what == "no such file":
-            faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
+            faults.add_missing_file(node, key)
         else:
             faults.merge(error)
     return None
@@ -184,7 +173,6 @@ class RecordingReader:
 
     rig: Rig | None
     rig_node: Marked | None
-    folder: Path
     faults: settings_reader.Faults
 
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
@@ -227,9 +215,8 @@ class RecordingReader:
             moved = self._move(rig, paths[0], entry, key)
             return [SourceFile(paths[0], moved, tuple(paths[1:]), self._by(entry, key))]
         if "by" in entry.content:
-            self.faults.add_at(
-                entry.content, key, "by", "belongs to files that are joined", "write join: [a.csv, b.csv]"
-            )
+            what, hint = "belongs to files that are joined", "write join: [a.csv, b.csv]"
+            self.faults.add_at(entry.content, key, "by", what, hint)
         moving = next((word for word in ("channels", "pattern") if word in entry.content), "")
         sources: list[SourceFile] = []
         before = len(self.faults)
@@ -244,28 +231,23 @@ class RecordingReader:
         return sources
 
     def _by(self, entry: Marked, key: str) -> str:
-        node = entry.content.get("by")
-        if node is not None and node.text not in BY:
-            self.faults.add(
-                node, settings_reader.join(key, "by"), f"unknown '{node.text}'", f"known: {', '.join(BY)}"
-            )
-        return node.text if node is not None else ""
+        by = entry.content["by"].text if "by" in entry.content else ""
+        if "by" in entry.content and by not in BY:
+            self.faults.add_at(entry.content, key, "by", f"unknown '{by}'", f"known: {', '.join(BY)}")
+        return by
 
     def _move(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
         node = entry.content.get("pattern")
         if node is None:
             return rig
         dofs = settings_reader.conditions_in(settings_reader.plain_stem(path), node.text)
-        if dofs is None:
-            what = f"does not match '{settings_reader.plain_stem(path)}'"
-            self.faults.add(
-                node, settings_reader.join(key, "pattern"), what, "for example '{}_{output}_{input}'"
-            )
-            return rig
         try:
+            if dofs is None:
+                hint = "for example '{}_{output}_{input}'"
+                raise ConfigError(f"does not match '{settings_reader.plain_stem(path)}'", hint=hint)
             return move(rig, dofs)
         except ConfigError as error:
-            self.faults.add(node, settings_reader.join(key, "pattern"), error.what, error.hint)
+            self.faults.add_at(entry.content, key, "pattern", error.what, error.hint)
             return rig
 
     def _rig(self, entry: Marked, key: str) -> Rig | None:
@@ -276,9 +258,9 @@ class RecordingReader:
         if "channels" not in entry.content:
             if "rig" not in entry.content:
                 return self.rig
-            return read_rig(rig_node, self.folder, self.faults, settings_reader.join(key, "rig"))
+            return read_rig(rig_node, self.faults, settings_reader.join(key, "rig"))
         try:
-            path, channels = self.folder / rig_node.text, entry.content["channels"]
+            path, channels = self.faults.folder / rig_node.text, entry.content["channels"]
             return override_channels(path, channels, self.faults, settings_reader.join(key, "channels"))
         except ConfigError as error:
             self.faults.merge(error)
@@ -345,7 +327,6 @@ class TestReader:
     """
 
     top: dict[str, Marked]
-    folder: Path
     rig: Rig | None
     faults: settings_reader.Faults
 
@@ -431,9 +412,8 @@ class TestReader:
         parts = [node.text for node in settings_reader.listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
-                self.faults.add_at(
-                    entries, key, "together", f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}"
-                )
+                what = f"the pattern has no part '{{{part}}}'"
+                self.faults.add_at(entries, key, "together", what, f"pattern: {pattern}")
         return parts
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
@@ -441,11 +421,9 @@ class TestReader:
         recordings: list[SourceFile] = []
         if "recordings" in entries:
             recordings = self._recordings(entries["recordings"], settings_reader.join(key, "recordings"))
-        frfs = (
-            read_ready_frfs(entries["frfs"], settings_reader.join(key, "frfs"), self.faults)
-            if "frfs" in entries
-            else []
-        )
+        frfs: list[ReadyFrf] = []
+        if "frfs" in entries:
+            frfs = read_ready_frfs(entries["frfs"], settings_reader.join(key, "frfs"), self.faults)
         if not recordings and not frfs and not len(self.faults):
             place = node if node.place else next(iter(self.top.values()))
             self.faults.add(place, key, "neither recordings nor frfs")
@@ -477,7 +455,7 @@ class TestReader:
         return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
-        return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
+        return RecordingReader(self.rig, self.top.get("rig"), self.faults).sources(node, key)
 
     def _conditions(
         self, entries: dict[str, Marked], key: str

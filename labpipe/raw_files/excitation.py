@@ -1,6 +1,4 @@
-"""Test signals: sums of harmonics with chosen phases, and swept sines.
-
-Periodic test signals: sums of harmonics with equal amplitudes and chosen phases. PHASES by name.
+"""Test signals: sums of harmonics with equal amplitudes and chosen phases (PHASES by name), and swept sines.
 
 A multisine is x(t) = sum_k A cos(2 pi f_k t + phi_k) with lines f_k in a band; it is periodic in 1 / spacing.
 """
@@ -84,6 +82,8 @@ def design_multisine(
         )
     if spacing <= 0 or rms <= 0:
         raise ConfigError("spacing and level must be positive")
+    if phases not in PHASES:
+        raise ConfigError(f"unknown phases '{phases}'", hint=f"known: {', '.join(PHASES)}")
     first, last = int(np.ceil(band[0] / spacing - 1e-9)), int(np.floor(band[1] / spacing + 1e-9))
     lines = np.arange(max(first, 1), last + 1)
     if odd_only:
@@ -95,8 +95,6 @@ def design_multisine(
             f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz",
             hint="widen the band or narrow the spacing",
         )
-    if phases not in PHASES:
-        raise ConfigError(f"unknown phases '{phases}'", hint=f"known: {', '.join(PHASES)}")
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 
@@ -162,9 +160,7 @@ PHASES: dict[str, Callable[[IntArray, int], FloatArray]] = {
 
 def _period(lines: IntArray, phases: FloatArray, n_sample: int) -> FloatArray:
     """One period of sum cos(2 pi k t + phi_k) on n_sample points."""
-    spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
-    spectrum[lines] = np.exp(1j * phases) * (n_sample / 2)
-    return fft.irfft(spectrum, n_sample)
+    return np.asarray(_signals(lines, np.exp(1j * phases)[:, None], n_sample)[0])
 
 
 # Swept sines as test signals: linear or logarithmic, up, down, or one after the other, with pauses in which
@@ -213,13 +209,9 @@ class Sweep:
         time = np.arange(n_sample) / sample_rate
         size = np.sqrt(2) * self.rms * _fade(time / self.duration)
         quiet = np.zeros(round(self.pause * sample_rate))
-        falls = [
-            self.direction == "down" or (self.direction == "up-down" and number % 2 == 1)
-            for number in range(count)
-        ]
-        return np.concatenate(
-            [part for fall in falls for part in (size * np.sin(self.phase(time, fall)), quiet)]
-        )
+        falls = {"up": (False,), "down": (True,), "up-down": (False, True)}[self.direction]
+        sweeps = [np.append(size * np.sin(self.phase(time, fall)), quiet) for fall in falls]
+        return np.concatenate([sweeps[number % len(sweeps)] for number in range(count)])
 
     def phase(self, time: FloatArray, falling: bool = False) -> FloatArray:
         """2 pi times the integral of the frequency [rad] at *time* (n,) [s] after the start of one sweep.

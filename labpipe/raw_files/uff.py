@@ -228,28 +228,14 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
         point, form = _columns(header[5], _POINT), _columns(header[6], _FORM)
         function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
         even, start, step = _integer(form[2]) == 1, _real(form[3]), _real(form[4])
-        response, reference = _point(point[4:7]), _point(point[7:10])
-        abscissa, ordinate, denominator = (_axis(_columns(line, _AXIS)) for line in header[7:10])
+        ends = _point(point[4:7]), _point(point[7:10])
+        abscissa, ordinate, per = (_axis(_columns(line, _AXIS)) for line in header[7:10])
         layout = _layout(lines, kind, ordinate_type, n_value, even)
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
     lines.position = layout.end
-    return UffRecord(
-        number,
-        title,
-        function,
-        response,
-        reference,
-        n_value,
-        even,
-        start,
-        step,
-        abscissa,
-        ordinate,
-        denominator,
-        scale,
-        layout,
-    )
+    steps = even, start, step
+    return UffRecord(number, title, function, *ends, n_value, *steps, abscissa, ordinate, per, scale, layout)
 
 
 def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
@@ -278,6 +264,7 @@ def _integer(field: str) -> int:
 
 
 def _real(field: str) -> float:
+    """A number as Fortran writes it, with D as its exponent; 0 for none."""
     return float(field.upper().replace("D", "E") or 0)
 
 
@@ -429,7 +416,7 @@ class _Mode:
     def of_lines(cls, lines: Sequence[str]) -> _Mode:
         """The record of its lines; ValueError or IndexError where they are not as it says."""
         kind = [int(field) for field in lines[5].split()]
-        parts = {2: 1, 4: 1, 5: 2, 6: 2}.get(kind[4], 0)
+        parts = _PARTS.get(kind[4], 0)
         count = [int(field) for field in lines[6].split()]
         at = 6 + -(-(2 + count[0]) // 8)
         numbers, at = _next_fields(lines, at, count[1])
@@ -461,4 +448,4 @@ def _next_fields(lines: Sequence[str], at: int, count: int) -> tuple[list[float]
     row = [line[n : n + 13] for line in lines[at:stop] for n in range(0, len(line.rstrip()), 13)]
     if len(row) != count:
         raise ValueError
-    return [float(field.upper().replace("D", "E")) for field in row], stop
+    return list(map(_real, row)), stop
