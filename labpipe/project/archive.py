@@ -221,9 +221,6 @@ def _texts(node: Marked) -> Iterator[Marked]:
         yield from _texts(part)
 
 
-# The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no
-# size.
-
 ZIP, ELN = ".zip", ".eln"
 EPOCH = (1980, 1, 1, 0, 0, 0)
 CHUNK = 1 << 20
@@ -389,10 +386,6 @@ def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> by
         return archive.read(info)
     except DAMAGE as error:
         raise DataError(f"is damaged ({cut(str(error))})", f"{path}: {NAME}", "have it sent again") from None
-
-
-# An archive taken apart again: every file held against its digest, then the result where verification and
-# the pipeline find it.
 
 
 @dataclass(frozen=True)

@@ -164,9 +164,6 @@ def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
     return Slope(value, str(parameter["unit"]), error, None if dof is None else float(dof))
 
 
-# The frequency response of a sensor from a calibration table: CSV with the columns frequency_hz, gain,
-# phase_deg.
-
 COLUMNS = ("frequency_hz", "gain", "phase_deg")
 
 
@@ -202,9 +199,6 @@ def _row(row: list[str], name: str) -> tuple[float, float, float]:
     if not (math.isfinite(frequency) and math.isfinite(phase) and frequency >= 0 and 0 < gain < math.inf):
         raise UnitError(f"'{name}': frequency {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg cannot be")
     return frequency, gain, math.radians(phase)
-
-
-# A sensitivity from a certificate: {certificate: probe7.xml, quantity: sensitivity}.
 
 
 @dataclass(frozen=True, kw_only=True)

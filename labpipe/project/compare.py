@@ -71,8 +71,6 @@ def _each(settings: Sequence[Any], prefix: str, work: Work, make: Callable[[Any]
     return tuple(records)
 
 
-# The section matrix: the fits of all tests ordered by their conditions, with a theory beside them.
-
 MATRIX_PREFIX = "matrix."
 # Stands for a condition that the theory does not know.
 NO_ENTRY = "none"
@@ -214,7 +212,6 @@ def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
 
 
 def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
-    """Every amount under the name of its comparison."""
     for comparison in comparisons:
         codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
         for amount in comparison.amounts:
@@ -241,7 +238,6 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
 
 
 def statement_lines(records: Comparisons | ConditionMatrices) -> Iterator[str]:
-    """The statement of every one."""
     return (f"{record.name}: {record.statement}" for record in records)
 
 

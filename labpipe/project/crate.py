@@ -52,7 +52,6 @@ class Contents:
 
     @property
     def members(self) -> tuple[Member, ...]:
-        """All files, in the order of their names."""
         return tuple(sorted((*self.of, *self.results), key=lambda member: member.name))
 
 

@@ -155,9 +155,6 @@ def _end(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# Several limits together, by what their values have in common.
-
-
 @dataclass(frozen=True)
 class Limited:
     """A number with the limits that it must keep: *value* and standard uncertainty *error* [its unit], None

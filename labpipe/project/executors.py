@@ -184,7 +184,6 @@ def batch_size(n_job: int, n_worker: int) -> int:
 
 
 def work_on(work: Work, batch: Sequence[Job]) -> list[Done]:
-    """The outcomes of a batch, on a worker."""
     return [work(job) for job in batch]
 
 

@@ -92,7 +92,6 @@ def write_uff58b(artefact: Path, target: Path) -> None:
 
 
 def write_mat(artefact: Path, target: Path) -> None:
-    """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
     _refuse_tables(artefact, "a MATLAB file")
@@ -223,18 +222,14 @@ def parameter_table(artefact: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# The covariance of all parameters of a result, split by source, as a table for other programs.
-
 NOISE = "noise"
 
 
 def write_covariance_csv(artefact: Path, target: Path) -> None:
-    """`covariance_table` as CSV."""
     write_table_csv(covariance_table(artefact), target)
 
 
 def write_covariance_parquet(artefact: Path, target: Path) -> None:
-    """`covariance_table` as Parquet."""
     covariance_table(artefact).to_parquet(target, index=False)
 
 
@@ -278,8 +273,6 @@ def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
             yield source.source, np.outer(changes, changes), changes
 
 
-# A study as one table: a row for every parameter of every fit at every noise level.
-
 HEADER = (
     "fit,estimator,noise,lines,repeats,failed,parameter,unit,truth,mean,rmse,cramer_rao_bound,mean_std_error,"
     "coverage\n"
@@ -296,10 +289,6 @@ def write_study_csv(path: Path, study: Study) -> None:
             for p in case.parameters:
                 numbers = (p.unit, p.truth, p.mean, p.rmse, p.bound, p.std_error, p.coverage)
                 table.writerow((*map(cell, (*head, p.name)), *numbers))
-
-
-# Plants for robust control design as files: the band over frequency as CSV, nominal model and weight as a
-# MATLAB file.
 
 
 def write_band_csv(artefact: Path, target: Path) -> None:

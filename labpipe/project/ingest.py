@@ -76,7 +76,6 @@ def ingest(
 
 
 def changed_while_read(path: Path) -> DataError:
-    """The fault of a file that was written to meanwhile."""
     return DataError("changed while it was read", path, "run again when it is complete")
 
 
@@ -117,7 +116,6 @@ def check_table(table: Table, rig: Rig) -> list[str]:
 
 
 def channel_screen(rig: Rig) -> ChannelScreen:
-    """The search for faults of a rig's measured channels."""
     names = [channel.channel.name for channel in rig.channels]
     return ChannelScreen(names, list(map(_si_limits, rig.channels)))
 
@@ -270,7 +268,6 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 def ingest_all(
     sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path
 ) -> list[recording_file.StoredRecording]:
-    """`ingest` for many files of one rig."""
     paths = list(sources)
     named = zip(paths, unique_names(paths), strict=True)
     return [ingest(path, rig, output, name, base) for path, name in named]
@@ -281,10 +278,6 @@ def recording_refs(recording: recording_file.StoredRecording, base: Path) -> tup
     return recording.header.inputs or (source_ref(recording.path, base),)
 
 
-# A raw file that is measured as it is read: calibrated, screened and digested block by block.
-
-# A file younger than this [ns] may have been changed without another time of change: clocks of file systems
-# tick.
 YOUNG = 2_000_000_000
 
 
@@ -376,7 +369,6 @@ class RawRecording:
             screen.add(self._calibration.in_rows(columns))
 
     def source_ref(self) -> SourceRef:
-        """The reference by which a result names the raw file."""
         self._sha256 = self._sha256 or file_sha256(self.path)
         return source_ref(self.path, self._base, self._sha256)
 

@@ -331,10 +331,6 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
     return _compare_parameter(rule, parameter, compare_number)
 
 
-# Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded",
-# "name.verdict".
-
-
 def comparison_outcome(
     rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber
 ) -> RuleOutcome:

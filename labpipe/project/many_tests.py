@@ -93,7 +93,6 @@ class Gathered:
         self.summary = DatasetSummary()
 
     def add(self, done: Done) -> None:
-        """Take the outcome of a test."""
         self._output.remarks.extend(done.remarks)
         self._early[self._places[done.test]] = done
         while self._next in self._early:

@@ -48,11 +48,9 @@ class Marked:
         return self.folder if entry.where.startswith(SET) else entry.folder
 
     def without(self, *keys: str) -> Marked:
-        """A mapping without these entries."""
         return replace(self, content={key: node for key, node in self.content.items() if key not in keys})
 
     def plain(self) -> Any:
-        """The node as ordinary dicts, lists and scalars."""
         if isinstance(self.content, dict):
             return {key: node.plain() for key, node in self.content.items()}
         if isinstance(self.content, list):

@@ -33,7 +33,6 @@ def write_matrix_csv(artefact: Path, target: Path) -> None:
 
 
 def write_matrix_parquet(artefact: Path, target: Path) -> None:
-    """The same as Parquet."""
     matrix_table(_matrices(artefact)[1]).to_parquet(target, index=False)
 
 
@@ -96,7 +95,6 @@ def write_rotor_csv(artefact: Path, target: Path) -> None:
 def rotor_sheets(
     identification: Identification, matrices: tuple[ConditionMatrix, ...]
 ) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Name and table of every sheet."""
     number = 0
     for matrix in matrices:
         units = [condition_unit(axis.name, axis.unit) for axis in matrix.axes]

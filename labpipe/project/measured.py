@@ -71,9 +71,7 @@ class MeasuredSource(SampleSource, Protocol):
 
     @property
     def path(self) -> Path: ...
-    def source_ref(self) -> SourceRef:
-        """The reference by which a result names it."""
-        ...
+    def source_ref(self) -> SourceRef: ...
 
 
 def measured_header(
@@ -163,7 +161,6 @@ def _kind_of_file(path: Path) -> _Kind | None:
 
 
 def measured_file_name(test: str, settings: FrfSettings | None) -> str:
-    """The file name of a test's response, free decays or spectra."""
     return file_stem(test) + KINDS[RESPONSES if settings is None else settings.gives].suffix
 
 

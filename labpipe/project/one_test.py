@@ -89,10 +89,6 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
     )
 
 
-# What one test among many comes to, as the dataset of results holds it: its rows, and what the rules find
-# in it.
-
-# Condition of a test that says on which day it was run; by default that on which its file was last changed.
 DATE = "date"
 
 
@@ -131,7 +127,6 @@ def result_of_test(
 
 
 def failed_result(test: Test, message: str) -> TestResult:
-    """The result of a test that could not be evaluated, and why."""
     row = DatasetRow(**identity(test, test.conditions), failed=message)  # type: ignore[arg-type]
     return TestResult(rows=(row,))
 

@@ -330,7 +330,6 @@ class Pipeline:
 
     @property
     def fits(self) -> tuple[FitSettings, ...]:
-        """The fits in their order."""
         return tuple(self.sections.get("identify", ()))
 
     @property
@@ -344,7 +343,6 @@ class Pipeline:
 
 
 def section_names() -> tuple[str, ...]:
-    """Every key that a pipeline file may have."""
     return (*BEFORE, *SECTIONS.names(), *AFTER)
 
 

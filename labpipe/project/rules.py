@@ -59,7 +59,6 @@ class Decision:
 
     @property
     def limits_text(self) -> str:
-        """The limits as people write them."""
         if self.low and self.high:
             return f"{self.low} to {self.high}"
         return f">= {self.low}" if self.low else f"<= {self.high}"
@@ -301,9 +300,6 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
     if not texts:
         faults.add(node, key, "an outcome is missing", f"of {', '.join(OUTCOMES)}")
     return tuple(outcome for outcome in OUTCOMES if outcome in texts)
-
-
-# Rules as texts.
 
 
 def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]:

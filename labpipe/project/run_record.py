@@ -158,9 +158,6 @@ def _lock(folder: Path) -> Iterator[None]:
         yield
 
 
-# Reading and verifying.
-
-
 def runs_of(path: Path) -> list[Run]:
     """The runs of a record, whether or not its chain holds; DataError for a line that is none."""
     return _read(path)[0]

@@ -35,7 +35,6 @@ SCHEMAS = Registry("schema")
 
 
 def rig_schema() -> dict[str, Any]:
-    """The schema of a rig file."""
     schema = object_schema(RigSettings)
     channel = object_schema(ChannelSettings)
     typed = channel["properties"]["sensitivity"]
@@ -96,7 +95,6 @@ OF_TEST = {
 
 
 def pipeline_schema() -> dict[str, Any]:
-    """The schema of a pipeline file."""
     recordings, frfs = _recordings(), _frfs()
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     test = {
@@ -150,7 +148,6 @@ def _decision() -> dict[str, Any]:
 
 
 def bearing_schema() -> dict[str, Any]:
-    """The schema of a bearing file."""
     return of_kinds("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
 
 

@@ -90,9 +90,6 @@ def _is_file(kind: str | Path) -> bool:
     return isinstance(kind, Path) or kind.endswith(SETTINGS_SUFFIXES)
 
 
-# Results as tables: pandas data frames, and responses as xarray data sets where xarray is installed.
-
-
 def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd.DataFrame:
     """Parameters of a fit or of a whole result, one row each; a response over frequency [Hz]; a recording
     over time [s]. SI units.
@@ -164,8 +161,6 @@ def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
         present, coords, {"form": response.form, "name": response.name, **response.conditions}
     )
 
-
-# Read every file of measurements or results by one function.
 
 HEAD = 4096
 
@@ -254,9 +249,6 @@ def _channel(guessed: GuessedChannel) -> Channel:
     role = guessed.role or DEFAULT_ROLES.get(guessed.quantity, "reference")
     assert guessed.quantity in QUANTITIES
     return Channel(guessed.key, guessed.quantity, role, guessed.dof, AXIS_ANGLES.get(guessed.dof))
-
-
-# A pipeline from a script, as `labpipe run` does it.
 
 
 def run(

@@ -58,11 +58,9 @@ class Faults:
         self.add(entry, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
 
     def add_missing_file(self, node: Marked, key: str) -> None:
-        """A fault for the name of a file that is not there."""
         self.add(node, key, f"no such file '{node.text}'", "paths are relative to the file that names them")
 
     def merge(self, error: ConfigError) -> None:
-        """Add the faults of a referenced file."""
         self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
 
     def unknown_keys(
@@ -107,7 +105,6 @@ def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> st
 
 
 def join(*keys: str) -> str:
-    """The dotted key of an entry."""
     return ".".join(key for key in keys if key)
 
 
@@ -134,10 +131,6 @@ def _plain(node: Marked, by_content: bool) -> Any:
     if isinstance(node.content, list):
         return [_plain(entry, False) for entry in node.content]
     return node.content if node.content is None else node.text
-
-
-# What the reader of a pipeline's section may know: the faults so far, the rig, and the names that are
-# taken.
 
 
 @dataclass(frozen=True)
@@ -352,9 +345,6 @@ def _content(node: Marked, name: str | None, setting: Setting, key: str, faults:
         else:
             faults.add(node, key, error.what, error.hint)
         return None
-
-
-# Files that an entry names, by path or glob, and what their names say.
 
 
 def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:

@@ -49,9 +49,6 @@ def _library(name: str) -> Any:
         ) from None
 
 
-# Keys.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Key:
     """The key of a person: a PKCS#12 *file*, or the *token* of a PKCS#11 library (*module*) with the label of
@@ -107,12 +104,8 @@ def _check_valid(certificate: Any, where: str) -> None:
 
 
 def person(certificate: Any) -> str:
-    """Whose certificate it is, in words."""
     names = certificate.subject.native
     return cut(str(names.get("common_name") or certificate.subject.human_friendly))
-
-
-# Signing.
 
 
 def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "") -> Path:
@@ -212,9 +205,6 @@ def _with_hints(plain: Any, text: str) -> Any:
     return WithHints()
 
 
-# Verifying.
-
-
 @dataclass(frozen=True)
 class Trust:
     """Certificates that vouch for signers, and lists of revoked ones, as files in PEM or DER."""
@@ -239,7 +229,6 @@ class Signature:
 
     @property
     def text(self) -> str:
-        """The signature in words."""
         what = f"{self.role} by {self.signer}" if self.role else f"signed by {self.signer}"
         when = f", {'time stamp' if self.stamped else 'stated time'} {self.time}" if self.time else ""
         return what + when + (f": {self.reason}" if self.reason else "")

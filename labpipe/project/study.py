@@ -35,12 +35,10 @@ EXPLAINED = (
 
 
 def study_sections(studies: Studies, _identification: Identification) -> tuple[Section, ...]:
-    """One section for every Monte Carlo study."""
     return tuple(Section(f"Study: {study.rig}", study_blocks(study)) for study in studies)
 
 
 def study_blocks(study: Study) -> tuple[Block, ...]:
-    """Tables and figures of a study."""
     first = study.cases[0]
     lead = (
         f"{study.rig}, {first.repeats} repeats of each case, seed {study.seed}; the same noise for every "

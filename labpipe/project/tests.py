@@ -135,7 +135,6 @@ class SourceFile:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """All files of the run."""
         return (self.path, *self.joined)
 
     def absolute(self) -> SourceFile:
@@ -176,7 +175,6 @@ class RecordingReader:
     faults: settings_reader.Faults
 
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
-        """The recorded files of an entry or a list of entries; faults for those that cannot be read."""
         sources: list[SourceFile] = []
         seen: dict[tuple[Path, ...], SourceFile] = {}
         for entry in settings_reader.listed(node):

@@ -47,17 +47,14 @@ class Work:
 
     @property
     def responses(self) -> list[FrequencyResponse]:
-        """The frequency responses among what was measured."""
         return [test for test in self.tests if isinstance(test, FrequencyResponse)]
 
     @property
     def spectra(self) -> list[ChannelSpectra]:
-        """The spectra of all channels among what was measured."""
         return [test for test in self.tests if isinstance(test, ChannelSpectra)]
 
     @property
     def conditions(self) -> dict[str, dict[str, str]]:
-        """The conditions of every test by its name."""
         return {test.name: test.conditions for test in self.tests}
 
 

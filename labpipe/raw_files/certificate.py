@@ -104,9 +104,6 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
     return certificate
 
 
-# The XML of a Digital Calibration Certificate.
-
-
 def _of_xml(content: bytes, name: str) -> Certificate:
     root = _parse(content, name)
     if root.tag != f"{DCC}digitalCalibrationCertificate":

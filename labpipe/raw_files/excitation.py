@@ -163,9 +163,6 @@ def _period(lines: IntArray, phases: FloatArray, n_sample: int) -> FloatArray:
     return np.asarray(_signals(lines, np.exp(1j * phases)[:, None], n_sample)[0])
 
 
-# Swept sines as test signals: linear or logarithmic, up, down, or one after the other, with pauses in which
-# the rig comes to rest.
-
 LAWS = ("linear", "logarithmic")
 DIRECTIONS = ("up", "down", "up-down")
 # Share of a sweep over which its amplitude rises at the start and falls at the end.

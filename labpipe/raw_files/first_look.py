@@ -120,9 +120,6 @@ def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
     return float(lines[0]), float(min(lines[-1], 0.4 * sample_rate))
 
 
-# Envelope and spectrum of channels, fed block by block with constant memory.
-
-# Intervals of an envelope: between half of this and this, enough for the width of a page.
 STRETCHES = 1024
 # Samples of one block of the spectrum.
 BLOCK = 4096

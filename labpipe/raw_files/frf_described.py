@@ -89,12 +89,8 @@ class TextColumns:
         return values
 
     def line(self, row: int) -> str:
-        """The place of a row in the file."""
         return f"{self.path}:{self._rows[row][0]}"
 
-
-# The columns of a table, or the variables of a file, by the name or number under which an entry describes
-# them.
 
 VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
 
@@ -161,7 +157,6 @@ class DescribedColumns:
         return unit
 
     def in_decibels(self, described: str) -> bool:
-        """Whether a column's title says so."""
         return self.word == "column" and re.search(r"\bdB\b", self.names[self._index(described)]) is not None
 
     def values(self, described: str) -> Any:

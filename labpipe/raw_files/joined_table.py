@@ -142,7 +142,6 @@ class JoinedTable:
                 raise DataError(what, hint="a lost sample, or two clocks")
 
     def findings(self) -> tuple[Finding, ...]:
-        """What was cut, once all chunks have been read."""
         return tuple(
             note(
                 "cut",
@@ -217,7 +216,6 @@ class ResampledTable:
         yield np.column_stack([values[n][:, splines[n][1].index(name)] for n, name in chosen])
 
     def findings(self) -> tuple[Finding, ...]:
-        """What was resampled, once the chunks have been read."""
         assert self.sample_rate is not None
         return tuple(
             note(

@@ -83,7 +83,6 @@ class LvmTable:
 
     @property
     def others(self) -> tuple[LvmTable, ...]:
-        """The tables of the channels at other rates."""
         rates = sorted(set(self._header.rates) - {self.sample_rate}, reverse=True)
         return tuple(LvmTable(self.path, rate) for rate in rates)
 

@@ -43,7 +43,6 @@ def check_hdf5(path: Path) -> None:
 
 
 def touch(path: Path) -> None:
-    """Read all attributes and datasets of a file."""
     with h5py.File(path, "r") as file:
         dict(file.attrs.items())
         file.visititems(_touch)
@@ -196,7 +195,6 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def is_hdf5(path: Path) -> bool:
-    """True for HDF5, as written by MATLAB 7.3 after a block of 512 bytes."""
     with path.open("rb") as stream:
         head = stream.read(520)
     return head.startswith(_HDF5) or head[512:] == _HDF5
@@ -321,8 +319,6 @@ def text_of(value: Any) -> str:
     return str(array.flat[0]) if array.dtype.kind == "U" and array.size == 1 else ""
 
 
-# HDF5 files (and MATLAB 7.3): the longest data sets of equal length are the channels, read block by block.
-
 _UNITS, _SENSITIVITIES = ("unit", "units", "unit_string", "y_unit"), ("sensitivity",)
 # Longest list of texts that may describe channels.
 MOST_TEXTS = 10_000
@@ -437,7 +433,6 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 
 def holds_response(path: Path) -> bool:
-    """True if a readable MATLAB or HDF5 file holds a response."""
     if is_hdf5(path):
         return has_hdf5_variables(path, _MARKS)
     return set(_MARKS) <= load_variables(path).keys()

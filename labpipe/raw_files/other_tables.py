@@ -68,9 +68,6 @@ def _numbers(column: pa.Array) -> FloatArray:
     return values
 
 
-# WAV files: one column per track, 1 at full scale; the rig's sensitivity converts full scale.
-
-
 class WavTable:
     """The tracks "1", "2", ... of a WAV file as shares of full scale. Satisfies Table."""
 
@@ -139,8 +136,6 @@ def _share(samples: NDArray[np.generic]) -> FloatArray:
     half = 2.0 ** (8 * samples.dtype.itemsize - 1)
     return (samples.astype(np.float64) - (half if samples.dtype.kind == "u" else 0.0)) / half
 
-
-# Excel workbooks (.xlsx): the sheet that holds a table of numbers.
 
 Row = tuple[Any, ...]
 

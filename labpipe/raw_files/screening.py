@@ -146,7 +146,6 @@ class AtLimit:
         self._count += int(beyond.sum())
 
     def clipped(self) -> tuple[int, int]:
-        """(clipped samples, first of them)."""
         return self._count, self._first
 
 

@@ -72,7 +72,6 @@ DAMAGED = "the file is damaged, or not what its ending says"
 
 
 def guard(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
-    """What *read* makes of a file."""
     with readable(path):
         return read(path, *arguments)
 

@@ -79,8 +79,6 @@ def damaged(path: Path, error: Exception) -> DataError:
     return DataError(what, path, "the file is damaged or cut off")
 
 
-# A text table whose fields any number of blanks keeps apart, as a stream with one blank between two fields.
-
 LINES = 1 << 14
 
 
@@ -95,7 +93,6 @@ class SqueezedBlanks(io.RawIOBase):
         self._rest = b""
 
     def readable(self) -> bool:
-        """Always."""
         return True
 
     def read(self, size: int = -1) -> bytes:
@@ -110,12 +107,9 @@ class SqueezedBlanks(io.RawIOBase):
         return wanted
 
     def close(self) -> None:
-        """Close the file, too."""
         self._lines.close()
         super().close()
 
-
-# Times of day, with or without a date, as seconds.
 
 DAY = 86400.0
 _STAMP = re.compile(
@@ -168,9 +162,6 @@ class StampClock:
         return self._midnight + second
 
 
-# Detection of a text table's layout: encoding, delimiter, decimal sign, header, unit row, first row of
-# numbers.
-
 HEAD_BYTES = 1 << 18
 # Lines analysed from either end of the head; no header is longer.
 SAMPLE_LINES = 200
@@ -209,7 +200,6 @@ def is_cell(field: str, decimal: str) -> bool:
 
 
 def is_number(field: str, decimal: str) -> bool:
-    """True if a field is one number with this decimal sign."""
     if "_" in field or (decimal == "," and "." in field):
         return False
     text = field.strip().strip('"')
@@ -221,12 +211,10 @@ def is_number(field: str, decimal: str) -> bool:
 
 
 def is_missing(field: str) -> bool:
-    """True if a field is a known mark for a missing number."""
     return field.strip().strip('"') in MISSING
 
 
 def fields_of(line: str, delimiter: str) -> list[str]:
-    """The fields of a line."""
     return line.split() if delimiter == BLANKS else line.split(delimiter)
 
 

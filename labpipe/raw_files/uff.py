@@ -103,7 +103,6 @@ class UffRecord:
 
     @property
     def where(self) -> str:
-        """Name of the record in messages."""
         return f"record {self.number} ({self.title or 'without a title'})"
 
 
@@ -112,7 +111,6 @@ class _Lines:
         self.path, self.buffer, self.position = path, buffer, 0
 
     def next(self) -> str | None:
-        """The next line, or None at the end of the file."""
         if self.position >= len(self.buffer):
             return None
         end = self.buffer.find(b"\n", self.position)
@@ -234,8 +232,9 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
     lines.position = layout.end
-    steps = even, start, step
-    return UffRecord(number, title, function, *ends, n_value, *steps, abscissa, ordinate, per, scale, layout)
+    return UffRecord(
+        number, title, function, *ends, n_value, even, start, step, abscissa, ordinate, per, scale, layout
+    )
 
 
 def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bool) -> NumberLayout:
@@ -355,9 +354,6 @@ def _fields(line: bytes, widths: list[int]) -> list[bytes]:
     return fields
 
 
-# The mode shapes of a universal file: its records 55, data at nodes, of normal and complex modes.
-
-# Analysis types of record 6: a normal mode, complex eigenvalues of first and of second order.
 NORMAL, COMPLEX = 2, (3, 7)
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
