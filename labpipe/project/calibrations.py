@@ -7,7 +7,7 @@ from __future__ import annotations
 import csv
 import datetime
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -56,14 +56,8 @@ def channel_uncertainties(
     written: Written, key: str, faults: Faults
 ) -> tuple[uncertain.ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
-    readers: dict[str, Callable[[Written], Iterator[uncertain.ChannelUncertainty]]] = {
-        "sensitivity": _of_sensitivity,
-        "delay": _of_delay,
-        "dof": _of_direction,
-        "uncertainty": _of_chain,
-    }
     uncertainties: list[uncertain.ChannelUncertainty] = []
-    for entry, read in readers.items():
+    for entry, read in READERS.items():
         try:
             uncertainties.extend(read(written))
         except UnitError as error:
@@ -100,9 +94,8 @@ def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
 
 
 def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    for name, number in written.uncertainties:
-        if name == "delay":
-            yield _of_channel(written, "delay", number, "delay")
+    if (number := dict(written.uncertainties).get("delay")) is not None:
+        yield _of_channel(written, "delay", number, "delay")
 
 
 def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
@@ -117,6 +110,10 @@ def _of_chain(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     for effect, number, unit in (("gain", "1", "1"), ("phase", "0 rad", "rad")):
         if size := getattr(written.chain, effect, ""):
             yield _of_channel(written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect)
+
+
+# What reads the uncertainties of an entry.
+READERS = {"sensitivity": _of_sensitivity, "delay": _of_delay, "dof": _of_direction, "uncertainty": _of_chain}
 
 
 @dataclass(frozen=True)
@@ -216,7 +213,7 @@ class CertificateSettings(Settings):
     over: str = setting("text", "quantity with the frequencies of a sensitivity over frequency", default="")
     at: float | None = setting(
         "value",
-        "frequency of the stated sensitivity, to which the response is relative",
+        "frequency at which the sensitivity is stated, that of a response of 1",
         unit="Hz",
         default=None,
     )

@@ -50,20 +50,14 @@ class RepeatSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.file and (self.parameter or self.size):
-            raise SettingError(
-                "file",
-                "'file' says which parameter scatters and by how much",
-                "leave 'parameter' and 'size' out",
-            )
+            what = "'file' says which parameter scatters and by how much"
+            raise SettingError("file", what, "leave 'parameter' and 'size' out")
         if not self.file and not (self.parameter and self.size):
-            raise ConfigError(
-                "'parameter' and 'size' are needed, or the 'file' of a repeatability test",
-                hint="parameter: k, size: 0.5 %",
-            )
+            what = "'parameter' and 'size' are needed, or the 'file' of a repeatability test"
+            raise ConfigError(what, hint="parameter: k, size: 0.5 %")
         if bool(self.file) != bool(self.comparison):
-            raise SettingError(
-                "comparison", "'file' and 'comparison' go together", "comparison: the name under `compare`"
-            )
+            hint = "comparison: the name under `compare`"
+            raise SettingError("comparison", "'file' and 'comparison' go together", hint)
 
 
 METHODS = ("first-order", "monte-carlo")
@@ -94,9 +88,8 @@ class UncertaintySettings(Settings):
         if not 0 < self.coverage < 1:
             raise SettingError("coverage", "'coverage' must lie between 0 and 100 %")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
-            raise SettingError(
-                "draws", "'draws' are of method monte-carlo", "method: monte-carlo, or leave it out"
-            )
+            hint = "method: monte-carlo, or leave it out"
+            raise SettingError("draws", "'draws' are of method monte-carlo", hint)
 
     def of(
         self, fit: FitSettings, stated: Container[str], repeats: tuple[RepeatSource, ...] = ()
@@ -129,9 +122,8 @@ def read_uncertainty(node: Marked, faults: Faults) -> Callable[..., FitSettings]
 def _known(name: str, settings: RepeatSettings) -> RepeatSource:
     size, _, _ = settings.size.partition("(")
     if not size.strip().endswith("%"):
-        raise UnitError(
-            f"'{settings.size}' is not relative to the parameter", "for example 0.5 %, or 0.5 % (dof=4)"
-        )
+        what = f"'{settings.size}' is not relative to the parameter"
+        raise UnitError(what, "for example 0.5 %, or 0.5 % (dof=4)")
     number = parse_uncertain(f"1 +- {settings.size}", "1")
     return RepeatSource(name, settings.parameter, number.std_error, settings.per, number.dof)
 
@@ -163,9 +155,8 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
             name, parameter, abs(amounts["between"] / amounts["mean"]), settings.per, float(len(groups) - 1)
         )
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
-        raise UnitError(
-            f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
-        ) from None
+        what = f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
+        raise UnitError(what) from None
 
 
 def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
@@ -396,11 +387,9 @@ def _load(
     rig = read_rig(entries.get("rig"), faults, "rig")
     tests = tests_of(TestReader(entries, rig, faults))
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
-    report = (
-        read_settings(ReportSettings, entries["report"], "report", faults)
-        if "report" in entries
-        else ReportSettings()
-    )
+    report: ReportSettings | None = ReportSettings()
+    if "report" in entries:
+        report = read_settings(ReportSettings, entries["report"], "report", faults)
     settings, names = _sections(entries, rig, faults)
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
@@ -415,9 +404,8 @@ def _load(
     # Of files written before: by the number of tests.
     results = "whole" if results == "auto" else results
     if results not in RESULTS:
-        faults.add_at(
-            entries, "", "results", f"no way '{results}' to keep results", nearest(results, RESULTS)
-        )
+        what = f"no way '{results}' to keep results"
+        faults.add_at(entries, "", "results", what, nearest(results, RESULTS))
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
     faults.raise_any()
@@ -482,9 +470,8 @@ def _check_whole(
     if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
-        faults.add(
-            tree, "frf", "is missing", "state excitation and period or block, from which FRFs are computed"
-        )
+        hint = "state excitation and period or block, from which FRFs are computed"
+        faults.add(tree, "frf", "is missing", hint)
 
 
 def _check_kinds(

@@ -16,7 +16,7 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
+from labpipe.records.settings import FileKind, Settings, Uncertainties, quantity, setting
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -35,18 +35,15 @@ class RigSettings(Settings):
 
     name: str = setting("text", "name of the rig, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rig", default="")
-    sample_rate: float | None = setting(
-        "value", "sampling rate, where no time column or file gives it", unit="Hz", default=None
-    )
+    sample_rate: float | None = quantity("sampling rate, where no time column or file gives it", "Hz", None)
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
-    resample: float | None = setting(
-        "value",
+    resample: float | None = quantity(
         "rate to which channels at several rates of one file (MDF, LVM) are brought, by cubic splines: that "
         "of the fastest used, or more",
-        unit="Hz",
-        default=None,
+        "Hz",
+        None,
     )
-    mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
+    mass: float | None = quantity("mass that moves with the response", "kg", None)
     uncertainties: Uncertainties = ()
 
 
@@ -205,11 +202,8 @@ def _read_channels(
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
     entries = faults.mapping(node, "channels")
-    sums = {
-        name: entry
-        for name, entry in entries.items()
-        if isinstance(entry.content, dict) and "derived" in entry.content
-    }
+    mappings = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict)}
+    sums = {name: entry for name, entry in mappings.items() if "derived" in entry.content}
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
     derived = _read_sums(sums, entries, read_constants(constants, entries, faults), channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
@@ -258,21 +252,19 @@ def _read_sums(
         and entry.content["quantity"].text in QUANTITIES
     }
     reader = SumReader(quantities, constants)
-    settings = {
-        name: read_settings(ChannelSettings, entry, join("channels", name), faults)
-        for name, entry in sums.items()
-    }
+    settings: dict[str, ChannelSettings] = {}
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():
         for key in RECORDED_ONLY:
             if key in entry.content:
                 what = "belongs to a recorded channel, this is a sum"
                 faults.add_at(entry.content, join("channels", name), key, what, "leave it out")
-        setting = settings[name]
-        if setting is None:
+        read = read_settings(ChannelSettings, entry, join("channels", name), faults)
+        if read is None:
             continue
+        settings[name] = read
         try:
-            terms[name] = reader.terms(setting.derived, name)
+            terms[name] = reader.terms(read.derived, name)
         except UnitError as error:
             faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
     names = {*terms, *(channel.channel.name for channel in recorded)}
@@ -284,7 +276,7 @@ def _read_sums(
 def _sum_channel(
     name: str,
     entry: Marked,
-    settings: ChannelSettings | None,
+    settings: ChannelSettings,
     sums: dict[str, tuple[Term, ...]],
     recorded: list[RigChannel],
     faults: Faults,
@@ -294,7 +286,6 @@ def _sum_channel(
     None where they differ, which the FRF refuses.
     """
     key = join("channels", name)
-    assert settings is not None
     try:
         terms = expand(sums, name)
     except UnitError as error:
@@ -344,15 +335,9 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     limits = _limits(settings, node, key, faults)
     dof, angle = _direction(split_uncertainty(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults) or (certified.response if certified else ())
-    written = calibrations.Written(
-        name,
-        node,
-        settings.sensitivity,
-        settings.dof,
-        settings.uncertainties,
-        settings.uncertainty,
-        certified.uncertainties if certified else (),
-    )
+    chain, of_certificate = settings.uncertainty, certified.uncertainties if certified else ()
+    texts = settings.sensitivity, settings.dof
+    written = calibrations.Written(name, node, *texts, settings.uncertainties, chain, of_certificate)
     # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
     uncertainties = calibrations.channel_uncertainties(written, key, faults) if len(faults) == before else ()
     if len(faults) > before:

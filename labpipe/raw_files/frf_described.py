@@ -211,28 +211,17 @@ def columns_of_variables(path: Path) -> DescribedColumns:
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
         raise DataError(what, path, "write 'columns' in place of 'variables'")
-    signals: list[Signals] = []
-    if plain_suffix(path) == ".npz":
-        arrays = load_arrays(path)
-        names = list(arrays)
+    in_hdf5 = plain_suffix(path) != ".npz" and is_hdf5(path)
+    fields: dict[str, Any] = {}
+    if not in_hdf5:
+        fields = load_arrays(path) if plain_suffix(path) == ".npz" else load_fields(path)
+    names = [name.replace("/", ".") for name in hdf5_names(path)] if in_hdf5 else list(fields)
 
-        def read(index: int) -> Any:
-            return arrays[names[index]]
+    def read(index: int) -> Any:
+        stored = names[index].replace(".", "/")
+        return load_hdf5_variables(path, [stored])[stored] if in_hdf5 else fields[names[index]]
 
-    elif is_hdf5(path):
-        names = [name.replace("/", ".") for name in hdf5_names(path)]
-
-        def read(index: int) -> Any:
-            stored = names[index].replace(".", "/")
-            return load_hdf5_variables(path, [stored])[stored]
-
-    else:
-        fields = load_fields(path)
-        names, signals = list(fields), signals_of(fields)
-
-        def read(index: int) -> Any:
-            return fields[names[index]]
-
+    signals = signals_of(fields)
     units = {part.values: part.unit for part in signals}
     return DescribedColumns(path, names, units, read, lambda _row: str(path), "variable", signals)
 

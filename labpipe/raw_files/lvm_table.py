@@ -151,9 +151,7 @@ class LvmTable:
         for place in places:
             text = fields[place].strip() if place < len(fields) else ""
             try:
-                row.append(
-                    float(text.replace(",", ".") if self._header.decimal == "," else text) if text else np.nan
-                )
+                row.append(float(_pointed(text, self._header.decimal)) if text else np.nan)
             except ValueError:
                 what = f"column '{self._header.titles[place]}': '{text[:40]}' is not a number"
                 raise DataError(what, f"{self.path}:{number}") from None
@@ -193,7 +191,7 @@ def _header(
         # Every channel has X values of its own, or none: its step says the same.
         rates = tuple(_rate([text], decimal, path) or 0.0 for text in texts)
         if all(0 < rate < float("inf") for rate in rates) and len(set(rates)) > 1:
-            counts = tuple(_whole(text) for text in padded["Samples"])
+            counts = tuple(int(text) if text.isdigit() else 0 for text in padded["Samples"])
             starts = tuple(_seconds(text, decimal) for text in padded["X0"])
             header = partial(header, rates=rates, counts=counts, starts=starts)
             return header(used=tuple(channels), sample_rate=None)
@@ -201,19 +199,19 @@ def _header(
     return header(used=tuple(used), sample_rate=rate)
 
 
-def _whole(text: str) -> int:
-    return int(text) if text.isdigit() else 0
+def _pointed(text: str, decimal: str) -> str:
+    return text.replace(",", ".") if decimal == "," else text
 
 
 def _seconds(text: str, decimal: str) -> float:
     try:
-        return float((text.replace(",", ".") if decimal == "," else text) or 0)
+        return float(_pointed(text, decimal) or 0)
     except ValueError:
         return 0.0
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
-    texts = {step.replace(",", ".") if decimal == "," else step for step in steps if step}
+    texts = {_pointed(step, decimal) for step in steps if step}
     if not texts:
         return None
     try:

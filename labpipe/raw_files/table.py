@@ -127,25 +127,16 @@ def check_in_child(path: Path, kind: str, touch: Touch) -> None:
         _looked_at[key] = _look(path, touch, math.ceil(SECONDS + SECONDS_PER_MB * status.st_size / 1e6))
     code = _looked_at[key]
     if code not in (GOOD, UNREADABLE):
-        how = (
-            "takes too long"
-            if code in (-signal.SIGXCPU, -signal.SIGKILL)
-            else (f"fails inside the {kind} library")
-        )
+        too_long = code in (-signal.SIGXCPU, -signal.SIGKILL)
+        how = "takes too long" if too_long else f"fails inside the {kind} library"
         raise DataError(f"is not a readable {kind} file (reading it {how})", path, "the file is damaged")
 
 
 def _look(path: Path, touch: Touch, seconds: int) -> int:
     """The exit code of a child process that reads the file, negative for the signal that ended it."""
     if not hasattr(os, "fork"):
-        command = [
-            sys.executable,
-            "-m",
-            "labpipe.raw_files.table",
-            touch.__module__,
-            touch.__name__,
-            str(path),
-        ]
+        module = [sys.executable, "-m", "labpipe.raw_files.table"]
+        command = [*module, touch.__module__, touch.__name__, str(path)]
         try:
             return subprocess.run(command, timeout=seconds * PATIENCE, check=False).returncode
         except subprocess.TimeoutExpired:

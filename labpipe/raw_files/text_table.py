@@ -367,6 +367,11 @@ def bracketed_unit(name: str) -> str:
     return _unit_of(match[1]) if match else ""
 
 
+def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
+    values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
+    return values
+
+
 # Read ahead, a few times over: larger blocks are no faster and cost memory.
 BLOCK_BYTES = 1 << 21
 
@@ -388,15 +393,9 @@ class CsvTable:
 
         DataError names line and column of the first row that is not numbers.
         """
-        fields = [str(self.layout.names.index(name)) for name in columns]
-        clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
         try:
             with self._bytes() as source:
-                for batch in self._open(source, fields, self.layout.first_line):
-                    if batch.num_rows:
-                        yield np.array(
-                            [self._numbers(batch.column(field), clocks.get(field)) for field in fields]
-                        ).T
+                yield from self._rows(source, columns, self.layout.first_line, self._new_clocks())
         except pa.ArrowInvalid as error:
             raise self._locate(columns, str(error)) from None
         except UnicodeError as error:
@@ -407,23 +406,27 @@ class CsvTable:
 
     def rows_of(self, text: bytes, columns: Sequence[str]) -> FloatArray:
         """The numbers (n, n_column) [unit of the file] of whole lines that follow in a file that grows."""
-        fields = [str(self.layout.names.index(name)) for name in columns]
-        if self._clocks is None:
-            self._clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
+        self._clocks = self._clocks or self._new_clocks()
         source: Any = io.BytesIO(text)
         if self.layout.delimiter == BLANKS:
             source = SqueezedBlanks(source, self.layout.encoding)
         try:
-            batches = list(self._open(source, fields, 0))
+            rows = list(self._rows(source, columns, 0, self._clocks))
         except pa.ArrowInvalid as error:
             reason = cut(str(error).splitlines()[0])
             raise DataError(f"a line that was appended cannot be read: {reason}", self.path) from None
-        rows = [
-            np.array([self._numbers(batch.column(field), self._clocks.get(field)) for field in fields]).T
-            for batch in batches
-            if batch.num_rows
-        ]
-        return np.concatenate([np.empty((0, len(fields))), *rows])
+        return np.concatenate([np.empty((0, len(columns))), *rows])
+
+    def _new_clocks(self) -> dict[str, StampClock]:
+        return {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
+
+    def _rows(
+        self, source: Any, columns: Sequence[str], skipped: int, clocks: dict[str, StampClock]
+    ) -> Iterator[FloatArray]:
+        fields = [str(self.layout.names.index(name)) for name in columns]
+        for batch in self._open(source, fields, skipped):
+            if batch.num_rows:
+                yield np.array([_numbers(batch.column(field), clocks.get(field)) for field in fields]).T
 
     def _open(self, source: Any, fields: list[str], skipped: int) -> pc.CSVStreamingReader:
         layout = self.layout
@@ -445,11 +448,6 @@ class CsvTable:
                 decimal_point=layout.decimal,
             ),
         )
-
-    @staticmethod
-    def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
-        values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
-        return values
 
     @contextmanager
     def _bytes(self) -> Iterator[Any]:
