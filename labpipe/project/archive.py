@@ -46,11 +46,9 @@ CERTIFICATE = "result.dcc.xml"
 
 
 def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: bool) -> Contents:
-    """What an archive of the results in a folder holds; *digests_only*: of recordings the digests, not the
-    recordings. The result as a certificate is written to the folder *scratch*.
-
-    DataError for results that do not hold, or that are not those of the pipeline; ConfigError for files that
-    an archive cannot hold.
+    """What an archive of a folder's results holds; *digests_only*: of recordings the digests alone.
+    *scratch*: a folder for the result as a certificate. DataError for results that do not hold or are not of
+    the pipeline; ConfigError for files that an archive cannot hold.
     """
     identification = read_identification(folder / IDENTIFICATION)
     _check_same(identification, pipeline, folder)
@@ -87,9 +85,8 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
 
 
 def _digest(member: Member) -> Member:
-    """The member with digest and size.
-
-    One that is not kept and lies elsewhere has the digest that the result names.
+    """The member with digest and size. One that is not kept and lies elsewhere has the digest that the result
+    names.
     """
     if is_remote(member.path):
         return member
@@ -147,7 +144,6 @@ def _project(
     pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool
 ) -> tuple[str, list[Member]]:
     """The pipeline's name in the archive, and it with all files that it names, in folders as they are.
-
     digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings
     were last changed.
     """
@@ -181,9 +177,8 @@ def _absolute(path: Path) -> Path:
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first, and those that they name.
-
-    All other files that any of them names.
+    """The settings files that a settings file names, itself first, and those that they name. All other files
+    that any of them names.
     """
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:
@@ -247,9 +242,8 @@ def check_output(path: Path) -> None:
 
 
 def write_archive(contents: Contents, path: Path, date: str) -> None:
-    """Write the archive; DataError where a file changes meanwhile.
-
-    An .eln has one folder of its own name around all.
+    """Write the archive; DataError where a file changes meanwhile. An .eln has one folder of its own name
+    around all.
     """
     check_output(path)
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
@@ -308,9 +302,8 @@ class Opened:
         return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
-        """The content of a member; DamagedError where it cannot be read.
-
-        What goes wrong where it is written is no fault of the archive.
+        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written
+        is no fault of the archive.
         """
         try:
             with self.archive.open(info) as stream:
@@ -322,9 +315,8 @@ class Opened:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Opened]:
-    """An archive to be read.
-
-    DataError for what is no ZIP, for names that lead out of it, and without metadata.
+    """An archive to be read. DataError for what is no ZIP, for names that lead out of it, and without
+    metadata.
     """
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
@@ -367,9 +359,8 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
-    """The folder around all of an .eln, as a prefix; empty for a crate at the top.
-
-    DataError without metadata.
+    """The folder around all of an .eln, as a prefix; empty for a crate at the top. DataError without
+    metadata.
     """
     if NAME in members:
         return ""
@@ -390,9 +381,8 @@ def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> by
 
 @dataclass(frozen=True)
 class Unpacked:
-    """The folders of an archive that was unpacked, and what does not hold of its files, by their names.
-
-    left_out: files of which the archive holds the digest only, without which the pipeline cannot be run.
+    """The folders of an archive, and what does not hold of its files, by their names. left_out: files of
+    which it holds the digest alone, without which the pipeline cannot be run.
     """
 
     pipeline: Path

@@ -54,9 +54,7 @@ def sweep_figures(
     title: str, label: str, values: FloatArray, swept: Sequence[BearingCoefficients]
 ) -> dict[str, Figure]:
     """The figures "stiffness" and, where there is any, "damping": every coefficient over the swept entry, one
-    panel per unit.
-
-    *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
+    panel per unit. *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
     """
     figures = {"stiffness": _sweep_figure(title, label, values, swept, "stiffness")}
     if any(bearing.damping.any() for bearing in swept):

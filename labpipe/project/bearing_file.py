@@ -86,9 +86,8 @@ def setting_at(owner: type, key: str) -> Setting:
 def taken_uncertainties(
     node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults
 ) -> dict[str, Uncertain]:
-    """The numbers of a mapping that carry an uncertainty, by their keys.
-
-    In the tree their values stand alone after that.
+    """The numbers of a mapping that carry an uncertainty, by their keys. In the tree their values stand alone
+    after that.
     """
     uncertainties: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):
@@ -115,9 +114,8 @@ def taken_uncertainties(
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
-    """The kind that the entry `kind` of a bearing names.
-
-    None and a fault where there is none of that name.
+    """The kind that the entry `kind` of a bearing names. None and a fault where there is none of that
+    name.
     """
     entries = faults.mapping(tree, key)
     if "kind" not in entries:
@@ -155,10 +153,8 @@ class Sweep:
 
 def parse_sweep(text: str, owner: type) -> Sweep:
     """The sweep of an entry of the settings dataclass *owner*; numbers without a unit have the last one's, or
-    the entry's SI unit.
-
-    Raises ConfigError for an entry that is unknown or has no unit, unreadable numbers, and a step that does
-    not lead from start to stop.
+    the SI unit. ConfigError for an entry that cannot be swept, unreadable numbers, and a step that does not
+    lead from start to stop.
     """
     where = f"--sweep {text}"
     key, equals, span = (part.strip() for part in text.partition("="))

@@ -118,9 +118,8 @@ READERS = {"sensitivity": _of_sensitivity, "delay": _of_delay, "dof": _of_direct
 
 @dataclass(frozen=True)
 class Slope:
-    """Slope of a calibration fit [unit] with its standard error and degrees of freedom.
-
-    No error where the fit has none.
+    """Slope of a calibration fit [unit] with its standard error and degrees of freedom. No error where the
+    fit has none.
     """
 
     value: float
@@ -130,9 +129,8 @@ class Slope:
 
 
 def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the *folder*.
-
-    UnitError where there is none.
+    """The slope of a calibration fit; the reference is FILE#FIT, relative to the *folder*. UnitError where
+    there is none.
     """
     file, _, fit_name = reference.partition("#")
     unreadable = f"'{file}' is not a readable identification.json of a calibration"
@@ -165,11 +163,9 @@ COLUMNS = ("frequency_hz", "gain", "phase_deg")
 
 
 def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Rows (frequency [Hz], gain [1], phase [rad]) of the table; lines that begin with # are left out.
-
-    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a
-    file that cannot be read, other columns, what is no number, fewer than two rows, a gain not above zero, or
-    frequencies that do not increase.
+    """Rows (frequency [Hz], gain [1], phase [rad]) of a table: what the sensor shows over what there is,
+    relative to its sensitivity; lines that begin with # are left out. UnitError for a file that is no such
+    table, fewer than two rows, a gain not above zero, or frequencies that do not increase.
     """
     try:
         text = path.read_text(encoding="utf-8-sig").splitlines()
@@ -286,9 +282,8 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
 
 
 def _check_day(settings: CertificateSettings, valid_until: datetime.date | None, named: str) -> None:
-    """UnitError where the certificate is not valid on the day of the measurement.
-
-    Only whether it is refused depends on the day, no number does.
+    """UnitError where the certificate is not valid on the day of the measurement. Only whether it is refused
+    depends on the day, no number does.
     """
     try:
         day = datetime.date.fromisoformat(settings.date) if settings.date else datetime.date.today()

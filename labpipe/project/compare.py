@@ -42,9 +42,7 @@ from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, Matrix
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
     """The section compare: every comparison in its order. One that lacks a failed test is named among the
-    work's failures.
-
-    Otherwise LabpipeError names the comparison.
+    work's failures. Otherwise LabpipeError names the comparison.
     """
     evidence = Evidence(
         tuple(work.fits),
@@ -79,9 +77,8 @@ DEFAULT_AXES = (("x", "y"), ("y", "z"))
 
 
 def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMatrices:
-    """Every matrix in its order; LabpipeError names the matrix.
-
-    One that lacks a failed test is named among the work's failures.
+    """Every matrix in its order; LabpipeError names the matrix. One that lacks a failed test is named among
+    the work's failures.
     """
 
     def matrix(entry: MatrixSettings) -> ConditionMatrix:
@@ -103,9 +100,8 @@ def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
 
 
 def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
-    """K and C of a bearing file at the conditions of a point, in the rig's x and y.
-
-    ConfigError for unknown dofs.
+    """K and C of a bearing file at the conditions of a point, in the rig's x and y. ConfigError for unknown
+    dofs.
     """
     theories: dict[tuple[float, ...], Mapping[str, float]] = {}
 
@@ -123,9 +119,8 @@ def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
 
 
 def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
-    """k_xx ...
-
-    c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point the other way.
+    """k_xx ... c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point
+    the other way.
     """
     named = axes or next(
         (pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0]
@@ -146,10 +141,8 @@ def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Ma
 
 def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheory:
     """Coefficients of another program: linear between the rows of a table along the first condition, at the
-    level of all others.
-
-    Columns are conditions and coefficients, with their unit in brackets (SI without one). A point outside the
-    table has no theory. DataError where a column of a condition is missing, or a unit does not fit.
+    level of all others; none outside. Columns have their unit in brackets, or SI. DataError where the column
+    of a condition is missing, or a unit does not fit.
     """
     columns = _columns(path)
     for name in over:

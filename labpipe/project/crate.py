@@ -22,10 +22,9 @@ from labpipe.records.identification import Identification
 
 @dataclass(frozen=True)
 class Member:
-    """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256.
-
-    kept: it is in the archive itself, not only its digest. day: on which it was last changed, where the
-    result depends on that.
+    """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256. kept:
+    it is in the archive itself, not only its digest. day: on which it was last changed, where the result
+    depends on that.
     """
 
     name: str
@@ -40,7 +39,6 @@ class Member:
 @dataclass(frozen=True)
 class Contents:
     """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*.
-
     left_out: of no result.
     """
 

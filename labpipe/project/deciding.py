@@ -23,10 +23,8 @@ Compared = tuple[float | str | None, bool, str, RuleDecision | None]
 
 
 def stated_error(parameter: Parameter) -> float | None:
-    """The combined standard uncertainty behind the interval that is stated [unit of the parameter]: noise,
-    model error, repeats and given numbers; None where there is none.
-
-    Where draws or a profile gave the interval alone, half of it over the quantile of the normal distribution.
+    """The combined standard uncertainty behind the interval that is stated [unit of the parameter], None
+    without one. Where draws or a profile gave the interval alone, half of it over the normal quantile.
     """
     if parameter.full_error is not None or parameter.ci95 is None:
         return parameter.full_error
@@ -44,10 +42,8 @@ def decide(
     rule: Rule, value: float | None, error: float | None, unit: str, expanded: float | None = None
 ) -> Compared:
     """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits. *expanded*: its
-    expanded uncertainty, by default that of a normal distribution.
-
-    Without a value or an uncertainty it does not, and the text says so. ConfigError for limits of another
-    dimension.
+    expanded uncertainty, by default that of a normal distribution. Without a value or an uncertainty it does
+    not, and the text says so. ConfigError for limits of another dimension.
     """
     decision = rule.decision
     assert decision is not None
@@ -201,10 +197,8 @@ def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter)
 
 
 def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
-    """The outcome of a rule that several limits hold at once, by the joint covariance of their values.
-
-    Of numbers whose correlation is not known (of fits to one test, derived ones) the least probability that
-    any correlation leaves counts.
+    """The outcome of a rule that several limits hold at once, by the joint covariance of their values; where
+    a correlation is not known, by the least probability that any leaves.
     """
     decision = rule.decision
     assert decision is not None

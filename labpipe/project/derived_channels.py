@@ -56,9 +56,8 @@ def read_constants(node: Marked | None, channels: Collection[str], faults: Fault
 
 
 def parse_factor(text: str, name: str) -> Factor:
-    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty.
-
-    UnitError for anything else.
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty. UnitError for
+    anything else.
     """
     turn = _TURN.match(text.strip())
     if turn is not None:
@@ -171,9 +170,8 @@ def _parts(text: str) -> list[tuple[float, str]]:
 
 
 def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
-    """The sum of channel *name* in recorded channels, sums in it written out.
-
-    UnitError for one that holds itself.
+    """The sum of channel *name* in recorded channels, sums in it written out. UnitError for one that holds
+    itself.
     """
     if name in above:
         ring = " of ".join((*above[above.index(name) :], name))

@@ -104,9 +104,7 @@ FILE_KEYS = ("class", "arguments", "adapt", "scale")
 
 def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
     """On the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786; "local": processes of this machine;
-    FILE.yaml: a cluster to start.
-
-    Workers must see the same files under the same paths.
+    FILE.yaml: a cluster to start. They must see the same files under the same paths.
     """
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
@@ -126,9 +124,8 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
 
 def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-    """Outcomes as they come.
-
-    Tests of a batch whose workers were all ended are tried alone, so that one of them costs no other.
+    """Outcomes as they come. Tests of a batch whose workers were all ended are tried alone, so that one of
+    them costs no other.
     """
     size = batch_size(len(jobs), len(client.nthreads()))
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
@@ -162,9 +159,8 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
 
 
 def _patiently(client: Any, ask: Callable[[float], Any]) -> Any:
-    """What is asked for within some seconds, again and again as long as there are workers.
-
-    DataError where there was none for an hour.
+    """What is asked for within some seconds, again and again as long as there are workers. DataError where
+    there was none for an hour.
     """
     since = time.monotonic()
     while True:
@@ -202,9 +198,8 @@ def _distribute() -> Any:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
-    """A client of the cluster that an address, "local" or a file names.
-
-    What was started for it ends with it.
+    """A client of the cluster that an address, "local" or a file names. What was started for it ends with
+    it.
     """
     patience = CONNECT_SECONDS
     with ExitStack() as started:
@@ -279,10 +274,7 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
 
 
 def _security(address: str) -> Any:
-    """The certificates that Dask's own configuration names, for an address tls://....
-
-    None for another one.
-    """
+    """The certificates that Dask's own configuration names, for an address tls://..., else None."""
     if not address.startswith("tls://"):
         return None
     security: Any = _distribute().Security()

@@ -72,9 +72,8 @@ def _table(artefact: Path) -> pd.DataFrame | None:
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
-    """A recording or an FRF as a universal file, numbers as text.
-
-    Of a result its mode shapes (records 15, 82 and 55).
+    """A recording or an FRF as a universal file, numbers as text. Of a result its mode shapes (records 15, 82
+    and 55).
     """
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
@@ -258,9 +257,8 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units].
-
-    Noise has no change with a sign.
+    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units]. Noise has no change with
+    a sign.
     """
     # None becomes not-a-number.
     errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)
@@ -314,9 +312,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
 
 def write_plant_mat(artefact: Path, target: Path) -> None:
     """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
-    overbound's k, zero and pole [Hz].
-
-    DataError for several such fits, of which a file holds one.
+    overbound's k, zero and pole [Hz]. DataError for several such fits, of which a file holds one.
     """
 
     fits = robust_fits(artefact)
@@ -342,9 +338,7 @@ def robust_fits(artefact: Path) -> tuple[Fit, ...]:
 
 def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: str = "u [V]") -> None:
     """Write *samples* (n_sample,) [V], or as the title of the *column* says, in the format of the suffix;
-    ConfigError for other suffixes.
-
-    A WAV file is scaled to full range.
+    ConfigError for other suffixes. A WAV file is scaled to full range.
     """
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()

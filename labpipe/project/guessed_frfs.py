@@ -61,9 +61,7 @@ class GuessedFrf:
 
 def guessed_frf(path: Path) -> GuessedFrf | None:
     """The FRFs of a table or of variables of another program, or of universal records that leave their form
-    open.
-
-    None for any other file.
+    open. None for any other file.
     """
     suffix = plain_suffix(path)
     if suffix in frf_described.VARIABLE_SUFFIXES:

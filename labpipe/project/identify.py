@@ -42,12 +42,10 @@ def identify_stage(
     failed: Sequence[Failed] = (),
     inputs: Sequence[SourceRef] = (),
 ) -> Identification:
-    """The identification of all tests and all sections of a pipeline, made unless the one on disk is fresh.
-
-    *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by
-    their name in the pipeline. *failed*: the tests that are missing; a comparison that cannot do without them
-    is missing as well. *inputs*: the digests of what was measured itself, by which a change of a rig, a
-    sensor or a recording reaches the result.
+    """The identification of all tests and sections of a pipeline, made unless the one on disk is fresh.
+    *jobs*: processes of the study, 0 for one per processor. *test_fits*: those made already, by their name in
+    the pipeline. *failed*: the tests that are missing. *inputs*: the digests of what was measured, by which a
+    change of a rig or recording reaches the result.
     """
     basis = Identification(
         fits=(),
@@ -115,9 +113,8 @@ def _existing(output: OutputFolder) -> Identification | None:
 
 
 def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:
-    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work.
-
-    Conditions as the *tests* had them.
+    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work. Conditions as
+    the *tests* had them.
     """
     measured = {test.name: test.conditions for test in tests}
     entry: dict[str, Any] = {

@@ -53,11 +53,10 @@ def ingest(
     joined: Sequence[Path] = (),
     by: str = "",
 ) -> recording_file.StoredRecording:
-    """The calibrated recording of a raw file, made unless the one on disk is fresh.
-
-    *name* is the recording's file name in the output folder without its ending; *base* is the folder to which
-    paths in the header are relative. *joined*: further files with channels of the same run, joined *by* time
-    or sample. Raises DataError with file and line for what cannot be used.
+    """The calibrated recording of a raw file, made unless the one on disk is fresh. *name*: its file name in
+    the output folder without ending; *base*: the folder to which paths in the header are relative; *joined*:
+    further files of the same run, joined *by* time or sample. DataError with file and line for what cannot be
+    used.
     """
     if is_recording(source) and not joined:
         return recording_file.open_recording(source)
@@ -103,9 +102,8 @@ def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
 
 
 def check_table(table: Table, rig: Rig) -> list[str]:
-    """The columns of the rig's channels, the time before them.
-
-    DataError for one that is missing, or whose unit is another.
+    """The columns of the rig's channels, the time before them. DataError for one that is missing, or whose
+    unit is another.
     """
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
@@ -130,9 +128,8 @@ class Calibration:
         self._changes = (self._scale != 1) | (self._offset != 0)
 
     def measured(self, chunk: FloatArray) -> FloatArray:
-        """Recorded columns (n, n_measured) [unit of the file] in SI units.
-
-        Those of a file that holds these already are not copied.
+        """Recorded columns (n, n_measured) [unit of the file] in SI units. Those of a file that holds these
+        already are not copied.
         """
         if not self._changes.any():
             return chunk
@@ -209,9 +206,8 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
 
 
 def stated_rate(table: Table, rig: Rig) -> float:
-    """The sampling rate [Hz] that the rig file or the file itself states.
-
-    DataError when none does, or both do and differ.
+    """The sampling rate [Hz] that the rig file or the file itself states. DataError when none does, or both
+    do and differ.
     """
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
@@ -235,9 +231,8 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
-    """The recorded values at which the logger clips, in SI units of the channel, increasing.
-
-    Pulses have flat ends and none.
+    """The recorded values at which the logger clips, in SI units of the channel, increasing. Pulses have flat
+    ends and none.
     """
     if channel.limits is None:
         return FAR if channel.channel.quantity == "tacho" else None
@@ -283,9 +278,7 @@ YOUNG = 2_000_000_000
 
 def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
     """The recording of a raw file that can be measured as it is read; None for one that needs `ingest`.
-    Raises DataError as that does.
-
-    *base* is the folder to which the path in its reference is relative.
+    Raises DataError as that does. *base* is the folder to which the path in its reference is relative.
     """
     if is_recording(source) or rig.resample is not None:
         return None
@@ -294,9 +287,8 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
 
 class RawRecording:
-    """The channels of a raw file [SI]. Satisfies SampleSource.
-
-    *findings* and digest are those of the first whole reading.
+    """The channels of a raw file [SI]. Satisfies SampleSource. *findings* and digest are those of the first
+    whole reading.
     """
 
     def __init__(self, table: QuickTable, rig: Rig, base: Path) -> None:
@@ -343,10 +335,7 @@ class RawRecording:
         return self._table.column_chunks(self._columns)
 
     def _screened(self) -> Iterator[list[FloatArray]]:
-        """The same, looked at for faults and digested on the way.
-
-        What comes of it holds when all was read.
-        """
+        """The same, looked at for faults and digested on the way; what comes of it holds after the last."""
         screen = channel_screen(self.rig)
         with DigestAlong(self.path) as digest:
             for columns in self._record():

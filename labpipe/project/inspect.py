@@ -37,9 +37,8 @@ TIME_NAMES = (
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra | FileShapes:
     """The overview of a recording, free decays or a raw file, or the response, the spectra or the mode shapes
-    of a file; DataError for one that cannot be read.
-
-    Recordings and tables are read once, block by block; what is kept does not grow with their length.
+    of a file; DataError for one that cannot be read. Recordings and tables are read once, block by block;
+    what is kept does not grow with their length.
     """
     if file.is_file() and plain_suffix(file) in UFF_SUFFIXES:
         shapes = guard(read_shapes_uff, file)
@@ -60,7 +59,6 @@ def write_card(
     content: Overview | FrequencyResponse | ChannelSpectra | FileShapes, file: str, path: Path
 ) -> None:
     """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md).
-
     DataError for shapes, which have none.
     """
     if isinstance(content, FileShapes):

@@ -28,10 +28,9 @@ _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operato
 def compare_number(
     rule: Rule, value: float | None, unit: str, error: float | None = None, expanded: float | None = None
 ) -> deciding.Compared:
-    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule.
-
-    One that could not be given meets none. *error*, *expanded*: its standard and expanded uncertainty
-    [unit], by which rules with limits are decided; all others compare the value alone.
+    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule. One that could
+    not be given meets none. *error*, *expanded*: its standard and expanded uncertainty [unit], by which rules
+    with limits are decided; all others compare the value alone.
     """
     if rule.decision is not None:
         return deciding.decide(rule, value, error, unit, expanded)
@@ -49,9 +48,8 @@ def compare_number(
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
-    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one.
-
-    UnitError for a wrong one.
+    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one. UnitError
+    for a wrong one.
     """
     written = written_unit(split_uncertainty(rule.bound)[0])
     return (
@@ -62,9 +60,8 @@ def found_text(rule: Rule, value: float, unit: str) -> str:
 
 
 def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> deciding.Compared:
-    """Whether a 95 % interval [*unit*, SI] covers the value of the rule.
-
-    The interval as text, in SI and in the unit of the rule.
+    """Whether a 95 % interval [*unit*, SI] covers the value of the rule. The interval as text, in SI and in
+    the unit of the rule.
     """
     try:
         wanted = parse_value(rule.bound, unit)
@@ -78,9 +75,8 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> d
 
 
 def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
-    """The expanded uncertainty, half the 95 % interval where noise alone is known.
-
-    Relative to the value where the rule is in per cent.
+    """The expanded uncertainty, half the 95 % interval where noise alone is known. Relative to the value
+    where the rule is in per cent.
     """
     half = deciding.expanded_of(parameter)
     if parameter.ci95 is None or half is None:
@@ -106,11 +102,9 @@ _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
 def judge(
     rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any], incomplete: bool = False
 ) -> tuple[RuleOutcome, ...]:
-    """The outcome of every rule on fits, and on the *records* of sections by their key.
-
-    ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete*
-    result, where tests failed, such a rule fails. A value whose bias cannot be known is not accepted,
-    whatever the rules say and where there are none.
+    """The outcome of every rule on fits, and on the *records* of sections by their key. ConfigError at the
+    rule's place when it addresses what the result does not have; in an *incomplete* result, where tests
+    failed, it fails. A value whose bias cannot be known is not accepted, whatever the rules say.
     """
     rules = tuple(rules)
     outcomes: list[RuleOutcome] = []
@@ -166,7 +160,6 @@ def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
 
 def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
     """The outcome of a rule that several limits hold at once, over all fits and comparisons it addresses.
-
     ConfigError at its place where it addresses what the result does not have.
     """
     numbers: list[deciding.Limited] = []
@@ -231,9 +224,8 @@ def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
 
 
 def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
-    """The outcome of a rule on all fits; ConfigError at its place where it addresses none.
-
-    A rule that cannot be judged in one of the tests is not kept.
+    """The outcome of a rule on all fits; ConfigError at its place where it addresses none. A rule that cannot
+    be judged in one of the tests is not kept.
     """
     if rule.item == "count" and partial.addressed:
         return rule.outcome(*compare_number(rule, float(partial.addressed), "1"))
@@ -283,9 +275,8 @@ def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compar
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
-    """The fits that have the parameter of the rule.
-
-    Of a calibration, only the first line has the linear range.
+    """The fits that have the parameter of the rule. Of a calibration, only the first line has the linear
+    range.
     """
     if rule.item in _FIT_VALUES:
         return fits
@@ -335,9 +326,7 @@ def comparison_outcome(
     rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber
 ) -> RuleOutcome:
     """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an
-    unknown item.
-
-    What could not be judged keeps no rule, and the outcome says why.
+    unknown item. What could not be judged keeps no rule, and the outcome says why.
     """
     comparison = next(candidate for candidate in comparisons if candidate.name == rule.fit)
     if rule.item == "verdict":

@@ -34,9 +34,7 @@ PART_TESTS = 500
 
 def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
     """Whether the results of a pipeline are kept as a dataset; ConfigError where it is asked for and cannot
-    be.
-
-    *independent*: the fits that need no other one.
+    be. *independent*: the fits that need no other one.
     """
     if pipeline.results == "whole":
         return False
@@ -49,9 +47,8 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
 
 
 def advice(pipeline: Pipeline, independent: Sequence[str]) -> str:
-    """That a dataset would hold the results of so many tests in less memory.
-
-    Empty where there are few, or it cannot.
+    """That a dataset would hold the results of so many tests in less memory. Empty where there are few, or it
+    cannot.
     """
     if pipeline.results == "dataset" or len(pipeline.tests) < MANY_TESTS or hindrance(pipeline, independent):
         return ""
@@ -77,9 +74,7 @@ def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
 
 class Gathered:
     """The outcomes of tests as they come: rows go to parts of the dataset, what concerns all tests is summed
-    up.
-
-    Tests are taken in their order, whatever the order in which they end: the same results give the same
+    up. Tests are taken in their order, whatever the order in which they end: the same results give the same
     bytes.
     """
 
@@ -114,9 +109,8 @@ def outcome_of(done: Done, test: Test) -> TestResult:
 
 
 def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
-    """The result of all tests: identification.json, which sums the dataset up.
-
-    Parts of an earlier run that are no longer of it go.
+    """The result of all tests: identification.json, which sums the dataset up. Parts of an earlier run that
+    are no longer of it go.
     """
     failed = gathered.summary.failed
     if failed and not gathered.summary.index.tests:
@@ -135,9 +129,8 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
 
 
 def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
-    """The result of many tests without the parts of its dataset.
-
-    ConfigError for a rule that addresses nothing where no test failed.
+    """The result of many tests without the parts of its dataset. ConfigError for a rule that addresses
+    nothing where no test failed.
     """
     return Identification(
         fits=(),

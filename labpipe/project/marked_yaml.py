@@ -203,9 +203,8 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def set_entry(root: Marked, assignment: str) -> None:
-    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number.
-
-    ConfigError where it is impossible.
+    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number. ConfigError where it
+    is impossible.
     """
     path, equals, text = assignment.partition("=")
     where = f"{SET} {assignment}"

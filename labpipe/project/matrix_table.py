@@ -71,12 +71,10 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
 
 
 def write_rotor_xlsx(artefact: Path, target: Path) -> None:
-    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `speed` or `frequency` [rad/s], one
-    sheet each, as an Excel file.
-
-    Of every level of the other conditions: a sheet over the `speed` of the shaft with the coefficients at
-    whirl in step with it (synchronous), and one for every speed over the whirl `frequency`. DataError where
-    no condition is a speed, or coefficients are missing.
+    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `speed` or `frequency` [rad/s], as
+    sheets of an Excel file: of every level of the other conditions one over the `speed` with the coefficients
+    at whirl in step with it (synchronous), and one for every speed over the whirl `frequency`. DataError
+    where no condition is a speed, or coefficients are missing.
     """
     load_extra("openpyxl", "excel", artefact)
     sheets = dict(rotor_sheets(*_matrices(artefact)))
@@ -177,10 +175,8 @@ def _coefficients(course: Course, frequency: FloatArray) -> FloatArray:
 
 def _table(over: str, frequency: FloatArray, coefficients: FloatArray, others: list[str]) -> pd.DataFrame:
     """Rows over 2 pi *frequency* (n,) [rad/s], a column named *over*, of *coefficients* (n, 8) [SI], and the
-    other conditions in words.
-
-    ROSS takes either name for one axis up to version 2; from version 3 on `frequency` is that of the whirl
-    alone.
+    other conditions in words. ROSS takes either name for one axis up to version 2; from version 3 on
+    `frequency` is that of the whirl alone.
     """
     columns = {over: 2 * np.pi * frequency, **dict(zip(ROTOR_NAMES.values(), coefficients.T, strict=True))}
     return pd.DataFrame({**columns, "at": ", ".join(others)})

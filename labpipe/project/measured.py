@@ -81,9 +81,8 @@ def measured_header(
     test: str,
     conditions: dict[str, str] | None,
 ) -> Header:
-    """The header of what is measured from recordings.
-
-    Of raw ones with their rigs, which make them what they are.
+    """The header of what is measured from recordings. Of raw ones with their rigs, which make them what they
+    are.
     """
     frf = dataclasses.asdict(settings)
     parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
@@ -187,9 +186,8 @@ def measure_test(
     conditions: dict[str, str],
     seen: Callable[[], Sequence[Finding]] = tuple,
 ) -> MeasuredTest:
-    """What the recordings of a test give, made unless what is on disk is fresh.
-
-    LabpipeError names the recording. *seen*: what else was found in the raw files of a response.
+    """What the recordings of a test give, made unless what is on disk is fresh. LabpipeError names the
+    recording. *seen*: what else was found in the raw files of a response.
     """
     kind = KINDS[settings.gives]
     header = partial(measured_header, kind.name, recordings, settings, test, conditions)
@@ -215,9 +213,8 @@ def measure_test(
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """What labpipe measured, or a ready response of any other program.
-
-    Name and conditions of its test take the place of its own.
+    """What labpipe measured, or a ready response of any other program. Name and conditions of its test take
+    the place of its own.
     """
     kind = _kind_of_file(path)
     if kind is None or not path.is_file():

@@ -61,9 +61,8 @@ from labpipe.spectra.shaft import shaft_motion
 
 
 def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
-    """The fits and the response of one test from the files in the *folder* of the result.
-
-    ConfigError for a test that it does not have.
+    """The fits and the response of one test from the files in the *folder* of the result. ConfigError for a
+    test that it does not have.
     """
     rows = read_rows(folder)
     names = rows["test"].to_pylist()
@@ -101,9 +100,8 @@ def result_of_test(
     sources: Sequence[SourceRef],
     digest: str,
 ) -> TestResult:
-    """The result of a test from its *fits* and the *findings* of its measurement.
-
-    *sources* are its files, *digest* that of its fits.
+    """The result of a test from its *fits* and the *findings* of its measurement. *sources* are its files,
+    *digest* that of its fits.
     """
     partial = tuple(judged_part(rule, fits) for rule in rules)
     outcomes = forbidden(rules, fits)
@@ -169,9 +167,8 @@ def change_day(path: Path) -> str:
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:
-    """SHA-256 over the digests of a test's files, or that of the file where it is one.
-
-    Empty where none could be read.
+    """SHA-256 over the digests of a test's files, or that of the file where it is one. Empty where none could
+    be read.
     """
     digests = [source.sha256 for source in sources]
     if len(digests) <= 1:
@@ -233,9 +230,8 @@ class Job:
 @dataclass(frozen=True)
 class Done:
     """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its
-    *result* for a dataset.
-
-    halts: it failed by a fault of the machine that other tests will meet as well, such as a full disk.
+    *result* for a dataset. halts: it failed by a fault of the machine that other tests will meet as well,
+    such as a full disk.
     """
 
     test: str
@@ -309,9 +305,7 @@ def _ready_sources(job: Job) -> list[SourceRef]:
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
     """The test measured from its raw files as they are read; their references. None where they need a
-    calibrated recording, or where a fault was met.
-
-    Where a fault is met, the calibrated recording is made after all: its checks name the fault.
+    calibrated recording, or a fault was met: its checks name that.
     """
     if (
         job.frf is None
@@ -342,9 +336,8 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
 
 
 def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
-    """The test measured from calibrated recordings, made where they are not there.
-
-    The references of the raw files.
+    """The test measured from calibrated recordings, made where they are not there. The references of the raw
+    files.
     """
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
@@ -440,9 +433,8 @@ def recorded_conditions(
     recordings: Sequence[StoredRecording], recorded: Mapping[str, RecordedCondition]
 ) -> dict[str, str]:
     """Every condition as text, "1000.2 N +- 3.1 N": its mean over all recordings, and the scatter of the
-    samples (of revolutions: speeds).
-
-    ConfigError for a channel that a recording lacks; DataError for a tacho without pulses.
+    samples (of revolutions: speeds). ConfigError for a channel that a recording lacks; DataError for a tacho
+    without pulses.
     """
     return {name: _text(*_amount(recordings, source)) for name, source in recorded.items()}
 

@@ -206,9 +206,8 @@ def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
-    """(model, key) of a model's section among the entries of a fit.
-
-    Other models are loaded for a key that no fit has without them.
+    """(model, key) of a model's section among the entries of a fit. Other models are loaded for a key that no
+    fit has without them.
     """
     if "model" not in entries:
         return None
@@ -226,9 +225,8 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
-    """The settings of a comparison.
-
-    Faults for a name that a fit has, for another kind's section, and for a fit that is not there.
+    """The settings of a comparison. Faults for a name that a fit has, for another kind's section, and for a
+    fit that is not there.
     """
     faults = reading.faults
     if name in reading.names:
@@ -293,10 +291,8 @@ class ReportSettings(Settings):
 @dataclass(frozen=True)
 class Pipeline:
     """A pipeline file with everything it names; *sections*: settings by the key of their section, in the
-    order in which they are run.
-
-    The settings of a section with named entries are a tuple, of others one dataclass. *results*: how those of
-    many tests are kept.
+    order in which they are run. The settings of a section with named entries are a tuple, of others one
+    dataclass. *results*: how those of many tests are kept.
     """
 
     path: Path
@@ -338,17 +334,15 @@ def section_names() -> tuple[str, ...]:
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a pipeline file, its rig files read along.
-
-    ConfigErrors with every fault of all files at its place.
+    """The pipeline of a pipeline file, its rig files read along. ConfigErrors with every fault of all files
+    at its place.
     """
     return _load(path, overrides, TestReader.tests)
 
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
-    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes.
-
-    Errors as of `load_pipeline`.
+    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes. Errors
+    as of `load_pipeline`.
     """
     per_file: list[EachFile] = []
 
@@ -366,7 +360,6 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
 
 def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     """The pipeline of a test that is followed while it runs: its recordings are not read, its rig file is.
-
     Errors as of `load_pipeline`.
     """
 

@@ -55,9 +55,8 @@ def is_response(path: Path) -> bool:
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
-    """A ready response: labpipe's own file, or another program's.
-
-    Name and conditions of its test take the place of its own.
+    """A ready response: labpipe's own file, or another program's. Name and conditions of its test take the
+    place of its own.
     """
     if path.is_dir():
         raise DataError("is a folder, a file is needed", path)

@@ -117,9 +117,7 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
 
 def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
     """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of
-    that role.
-
-    ConfigError for a name that is no channel of the rig.
+    that role. ConfigError for a name that is no channel of the rig.
     """
     places: dict[str, str] = {}
     names = [channel.name for channel in rig.all_channels]
@@ -240,9 +238,8 @@ def _read_sums(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> tuple[Channel, ...]:
-    """The channels that are sums of others, written out in recorded channels.
-
-    A channel that could not be read is no second fault.
+    """The channels that are sums of others, written out in recorded channels. A channel that could not be
+    read is no second fault.
     """
     quantities = {
         name: entry.content["quantity"].text
@@ -281,9 +278,8 @@ def _sum_channel(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> Channel | None:
-    """A sum with the delay and response that all its members have.
-
-    None where they differ, which the FRF refuses.
+    """A sum with the delay and response that all its members have. None where they differ, which the FRF
+    refuses.
     """
     key = join("channels", name)
     try:
@@ -395,9 +391,8 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
 
 
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
-    """Recorded SI unit per SI unit of the quantity.
-
-    "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration.
+    """Recorded SI unit per SI unit of the quantity. "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a
+    calibration.
     """
     if "#" in text:
         slope = calibrations.calibrated_slope(text, node.folder_of("sensitivity"))

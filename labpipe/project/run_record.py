@@ -84,9 +84,8 @@ def record_of_runs(folder: Path) -> Path | None:
 
 @contextmanager
 def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
-    """Record a run with results in a folder: of what the caller puts into the list, or as failed.
-
-    Nothing where no record was begun.
+    """Record a run with results in a folder: of what the caller puts into the list, or as failed. Nothing
+    where no record was begun.
     """
     made: list[Identification] = []
     try:

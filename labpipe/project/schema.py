@@ -155,7 +155,6 @@ def of_kinds(
     title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others.
-
     *above*: further entries.
     """
     options = []
@@ -167,9 +166,8 @@ def of_kinds(
 
 
 def _section(entry: PipelineSection) -> dict[str, Any]:
-    """A section, or a mapping of names to entries.
-
-    Of fits and comparisons with the sections that their kinds have.
+    """A section, or a mapping of names to entries. Of fits and comparisons with the sections that their kinds
+    have.
     """
     owner = entry.settings
     schema = object_schema(owner)

@@ -184,10 +184,8 @@ DECIDE = "DECIDE"
 
 def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **presets: Any) -> Owner | None:
     """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot
-    be read.
-
-    *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of
-    missing entries.
+    be read. *presets* are further fields that the file does not hold (a name, say), or defaults that take the
+    place of missing entries.
     """
     before = len(faults)
     settings = settings_of(owner)
@@ -221,9 +219,8 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
 
 
 def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
-    """The mapping with the keys of this version.
-
-    A note for each that it holds under the name of the version before.
+    """The mapping with the keys of this version. A note for each that it holds under the name of the version
+    before.
     """
     if not isinstance(node.content, dict):
         return node
@@ -245,10 +242,7 @@ def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting
 def _instance(
     owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]
 ) -> Owner | None:
-    """The dataclass, its faults added to those of its fields.
-
-    None without a second fault for unread entries.
-    """
+    """The dataclass, or None and its faults; no second fault for unread entries."""
     declared = dataclasses.fields(owner)  # type: ignore[arg-type]
     if any(field.default is MISSING and field.name not in fields for field in declared):
         return None
@@ -282,9 +276,8 @@ def in_one_line(node: Marked, kind: str = "value") -> Marked:
 
 
 def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
-    """The text of a number with its uncertainty, which the settings take apart.
-
-    None and a fault where it cannot be read.
+    """The text of a number with its uncertainty, which the settings take apart. None and a fault where it
+    cannot be read.
     """
     try:
         parse_uncertain(node.text, setting.unit)
@@ -398,9 +391,8 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
 
 
 def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether a path is of a glob, both part by part: '**' stands for any folders.
-
-    What begins with a point is hidden, as on a disk.
+    """Whether a path is of a glob, both part by part: '**' stands for any folders. What begins with a point
+    is hidden, as on a disk.
     """
     if not pattern or not names:
         return not names and all(part == "**" for part in pattern)
@@ -423,9 +415,8 @@ def listed(node: Marked) -> list[Marked]:
 
 def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
     """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up;
-    None where it differs.
-
-    '{}' stands for a part that is no condition; one that stands twice is the same in both places.
+    None where it differs. '{}' stands for a part that is no condition; one that stands twice is the same in
+    both places.
     """
     expression, wanted = "", list[str]()
     for number, part in enumerate(re.split(r"\{(\w*)\}", pattern)):

@@ -244,9 +244,8 @@ def signed_files(path: Path) -> list[Path]:
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
-    """Every signature in a signed PDF or a detached signature; none in an unsigned PDF.
-
-    DataError where the file cannot be read; ConfigError for a certificate of *trust* that cannot.
+    """Every signature in a signed PDF or a detached signature; none in an unsigned PDF. DataError where the
+    file cannot be read; ConfigError for a certificate of *trust* that cannot.
     """
     for library in ("pyhanko", "pyhanko_certvalidator"):
         # What it says of a certificate that nobody vouches for is a fault here, and no trace of an error.
@@ -364,9 +363,8 @@ def _faults(status: Any, trust: Trust) -> tuple[str, ...]:
 
 
 def drawn_from_another(path: Path) -> str:
-    """What is wrong with a signed report beside a result: that it was drawn from another one, so that result,
-    recording or configuration are not those that were signed. Empty where it was drawn from that result, by
-    the build that made it or by this one, and where there is none beside it.
+    """What is wrong with a signed report: that it was drawn from another result than the one beside it. Empty
+    where it was drawn from that, by the build that made it or by this one, or there is none.
     """
     result = path.with_name(NAME)
     if not result.is_file():

@@ -175,9 +175,8 @@ _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
 
 
 def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level.
-
-    Threshold is the noise level of the success limit.
+    """A rule on "fit[noise].item", or "fit.item" for every noise level. Threshold is the noise level of the
+    success limit.
     """
     match = _STUDIED.match(rule.item)
     if match is None:

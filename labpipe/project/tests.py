@@ -19,10 +19,9 @@ from labpipe.spectra.settings import FrfSettings
 
 @dataclass(frozen=True)
 class ReadyFrf:
-    """Files of one ready FRF matrix: one file, or one for each element, row or column.
-
-    *layout* describes files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that
-    its name or the entry gives.
+    """Files of one ready FRF matrix: one file, or one for each element, row or column. *layout* describes
+    files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that its name or the
+    entry gives.
     """
 
     paths: tuple[Path, ...]
@@ -46,9 +45,8 @@ class ReadyFrf:
 
 
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The responses of the entry *key*: a file, a description, or a list of them.
-
-    Faults for those that cannot be read.
+    """The responses of the entry *key*: a file, a description, or a list of them. Faults for those that
+    cannot be read.
     """
     frfs: list[ReadyFrf] = []
     for entry in settings_reader.listed(node):
@@ -122,10 +120,9 @@ BY = ("time", "sample")
 
 @dataclass(frozen=True)
 class SourceFile:
-    """One recorded file and the rig that recorded it.
-
-    *path* may be the URL of an object storage. *joined*: further files with channels of the same run, *by*:
-    joined on time or by sample, by default on time where all have it.
+    """One recorded file and the rig that recorded it. *path* may be the URL of an object storage. *joined*:
+    further files with channels of the same run, *by*: joined on time or by sample, by default on time where
+    all have it.
     """
 
     path: Path
@@ -307,9 +304,8 @@ class EachFile:
         return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
-        """The test of a recording, by default named after its file.
-
-        ConfigError for a name that does not match the pattern.
+        """The test of a recording, by default named after its file. ConfigError for a name that does not
+        match the pattern.
         """
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
@@ -357,9 +353,8 @@ class TestReader:
             yield self._test(name, node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, named after it; conditions from the name by the pattern.
-
-        Files whose names differ only in the parts named by `together` are recordings of one test.
+        """One test per file, named after it; conditions from the name by the pattern. Files whose names
+        differ only in the parts named by `together` are recordings of one test.
         """
         per_file = self._each(entries, key)
         together = self._together(entries, key)
@@ -439,9 +434,8 @@ class TestReader:
         return repeats
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
-        """The pipeline's frf: with the entries that the test itself gives.
-
-        An entry without a value takes that of the pipeline away.
+        """The pipeline's frf: with the entries that the test itself gives. An entry without a value takes
+        that of the pipeline away.
         """
         if "frf" not in entries or key == "":
             return None

@@ -114,9 +114,8 @@ def _kind(path: Path) -> _Kind | None:
 
 def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of
-    raw files are relative; by default that in or above the results which holds a file of the pipeline's name.
-
-    DataError for no folder, or one without artefacts.
+    raw files are relative; by default that in or above the results which holds the pipeline. DataError for no
+    folder, or one without artefacts.
     """
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")

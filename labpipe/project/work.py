@@ -65,9 +65,8 @@ SINGULAR = (
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
-    """Every fit on every test that it names; fits already made test by test are reused.
-
-    A fit that the measurement cannot support is named among the work's failures; FitError where none is left.
+    """Every fit on every test that it names; those made already are reused. One that the measurement cannot
+    support is named among the work's failures; FitError where none is left.
     """
     fits: list[Fit] = []
     faults: list[FitError] = []
@@ -99,9 +98,8 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
 
 
 def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
-    """The settings with the result of the earlier fit that they begin with.
-
-    LabpipeError names the fit, and why the earlier one failed.
+    """The settings with the result of the earlier fit that they begin with. LabpipeError names the fit, and
+    why the earlier one failed.
     """
     where = f"{work.pipeline.path}: identify.{settings.name}"
     earlier = settings.kind.earlier(settings)
@@ -132,9 +130,8 @@ def fits_of(
     pipeline_path: Path,
     repeats: Mapping[str, str] = MappingProxyType({}),
 ) -> list[Fit]:
-    """The fits of the responses or decays whose test the settings name, or of all.
-
-    *repeats*: what tests say of theirs, by name. LabpipeError names fit and test.
+    """The fits of the responses or decays whose test the settings name, or of all. *repeats*: what tests say
+    of theirs, by name. LabpipeError names fit and test.
     """
     # What fits is not imported by a run that finds all its fits fresh.
     from labpipe.estimation.budget import with_repeat_sources

@@ -85,9 +85,8 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
 
 
 def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
-    """The sampling rate [Hz] from scalars such as fs or dt.
-
-    DataError when they contradict each other or are not positive.
+    """The sampling rate [Hz] from scalars such as fs or dt. DataError when they contradict each other or are
+    not positive.
     """
     rates_by_name = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
     rates_by_name |= {
@@ -125,10 +124,9 @@ _SIGNAL = re.compile(r"Signal\s+(\w+)\b[^\n;]*?\bEU\s+([^\s,;]+)")
 def describe(
     columns: Sequence[str], texts: Mapping[str, Sequence[str]]
 ) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
-    """(names, units, sensitivities) of *columns* by what *texts* beside them say.
-
-    A list of as many texts as there are columns is theirs in order, one of as many as a matrix has columns is
-    of that matrix; NAME_unit is that of NAME.
+    """(names, units, sensitivities) of *columns* by what *texts* beside them say. A list of as many texts as
+    there are columns is theirs in order, one of as many as a matrix has columns is of that matrix; NAME_unit
+    is that of NAME.
     """
     stated: dict[str, dict[str, str]] = {"names": {}, "units": {}, "sensitivities": {}}
     by_last = {name.rpartition(".")[2].rpartition("/")[2]: name for name in columns}
@@ -198,9 +196,8 @@ class ArraysTable:
 
 
 def load_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of a .npz file by name, that of a .npy file under ''.
-
-    DataError for a damaged file or one of pickled objects.
+    """The arrays of a .npz file by name, that of a .npy file under ''. DataError for a damaged file or one of
+    pickled objects.
     """
     check_filled(path)
     with reading(path, "NumPy file of numbers"), warnings.catch_warnings():
@@ -214,9 +211,8 @@ def load_arrays(path: Path) -> dict[str, Any]:
 
 
 def numpy_table(path: Path) -> ArraysTable:
-    """The vectors of a NumPy file, or the columns of its matrices: 1, 2, ... in a .npy file.
-
-    Fields of a structured array by name.
+    """The vectors of a NumPy file, or the columns of its matrices: 1, 2, ... in a .npy file. Fields of a
+    structured array by name.
     """
     arrays: dict[str, Any] = {}
     for name, array in load_arrays(path).items():

@@ -82,10 +82,8 @@ class Certificate:
 
 
 def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certificate:
-    """The certificate of a file; of a table of several that of the *number*. *sha256*: what the file's digest
-    must be, if it is given.
-
-    UnitError for a file that cannot be read, that is no certificate, or is another one.
+    """The certificate of a file, of a table of several that of the *number*. *sha256*: what the digest must
+    be, if given. UnitError for a file that cannot be read, is no certificate, or another one.
     """
     try:
         if path.stat().st_size > MOST_BYTES:

@@ -37,10 +37,9 @@ class Multisine:
         return float(peaks(self.lines, np.exp(1j * self.phases)[:, None])[0] / np.sqrt(self.lines.size / 2))
 
     def samples(self, sample_rate: float, periods: int) -> FloatArray:
-        """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms].
-
-        ConfigError when a period holds no whole number of samples, or the sampling rate is too low for the
-        highest line. Equation (spec-multisine).
+        """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]. ConfigError when a
+        period holds no whole number of samples, or the sampling rate is too low for the highest line.
+        Equation (spec-multisine).
         """
         exact = sample_rate / self.spacing
         n_sample = round(exact)
@@ -99,9 +98,8 @@ def design_multisine(
 
 
 def _left_out(n_line: int, group: int, seed: int) -> IntArray:
-    """Indices of one line in every complete group of *group* lines.
-
-    The first and the last line stay, so that the band is kept.
+    """Indices of one line in every complete group of *group* lines. The first and the last line stay, so that
+    the band is kept.
     """
     starts = np.arange(1, n_line - group, group)
     return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
@@ -117,9 +115,7 @@ def schroeder_phases(
     seed: int = 0,  # noqa: ARG001 (one signature for the table)
 ) -> FloatArray:
     """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder
-    1970).
-
-    Equation (spec-schroeder).
+    1970). Equation (spec-schroeder).
     """
     n = np.arange(1, lines.size + 1)
     return -np.pi * n * (n - 1) / lines.size
@@ -194,9 +190,7 @@ class Sweep:
 
     def samples(self, sample_rate: float, count: int) -> FloatArray:
         """*count* sweeps with their pauses sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]; up-down
-        goes up first, then down.
-
-        ConfigError when the sampling rate is too low for the band.
+        goes up first, then down. ConfigError when the sampling rate is too low for the band.
         """
         if 2 * self.band[1] >= sample_rate:
             raise ConfigError(
@@ -212,7 +206,6 @@ class Sweep:
 
     def phase(self, time: FloatArray, falling: bool = False) -> FloatArray:
         """2 pi times the integral of the frequency [rad] at *time* (n,) [s] after the start of one sweep.
-
         Linear f = f_1 + (f_2 - f_1) t / T; logarithmic f = f_1 (f_2 / f_1)^(t / T) (Farina 2000, eq. 5).
         Equation (spec-sweep).
         """
@@ -235,10 +228,8 @@ STATED = 192
 
 def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     """Largest |s_c(t)|, (n_signal,) [unit of amplitudes], of amplitudes (n_line, n_signal) [any unit] at
-    lines (n_line,) [multiples].
-
-    Of all times, whatever the sampling rate: never below the true one, and above it by 0.013 % at most.
-    Equation (plan-highest).
+    lines (n_line,) [multiples]. Of all times, whatever the sampling rate: never below the true one, and above
+    it by 0.013 % at most. Equation (plan-highest).
     """
     signals = one_period(lines, amplitudes, STATED)
     # Around its peak S a sum of sines up to line k is at least S cos(2 pi k (t - t_S)), and a sample is no
@@ -249,9 +240,7 @@ def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
 
 def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> FloatArray:
     """Signals over a period, (n_signal, n_sample) [unit of amplitudes], with *oversampling* samples or more
-    per period of the highest line.
-
-    Arguments as of `peaks`.
+    per period of the highest line. Arguments as of `peaks`.
     """
     return _signals(lines, amplitudes, int(fft.next_fast_len(oversampling * int(lines.max()), real=True)))
 

@@ -23,9 +23,8 @@ BLOCKS = 16
 
 @dataclass(frozen=True)
 class Excitation:
-    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact).
-
-    Band with power [Hz].
+    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact). Band with
+    power [Hz].
     """
 
     kind: str
@@ -52,9 +51,8 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
 
 def find_period(signal: FloatArray) -> int:
     """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0
-    when it is not periodic.
-
-    A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE and is a local maximum.
+    when it is not periodic. A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE
+    and is a local maximum.
     """
     n = signal.size
     if n < 8 or not np.any(signal):
@@ -83,9 +81,8 @@ def find_period(signal: FloatArray) -> int:
 
 
 def hit_starts(force: FloatArray) -> IntArray:
-    """Samples at which hammer hits begin, (n_hit,).
-
-    None where the force (n_sample,) [N] is not near zero most of the time.
+    """Samples at which hammer hits begin, (n_hit,). None where the force (n_sample,) [N] is not near zero
+    most of the time.
     """
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
     if not 0 < rms < np.inf or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
@@ -126,9 +123,8 @@ BLOCK = 4096
 
 
 class EnvelopeTrack:
-    """Minima and maxima over intervals of equal length.
-
-    Pairs of intervals are merged when there are too many.
+    """Minima and maxima over intervals of equal length. Pairs of intervals are merged when there are too
+    many.
     """
 
     def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
@@ -173,9 +169,8 @@ def _extremes(rows: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
 
 
 class SpectrumTrack:
-    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted).
-
-    Blocks with missing numbers are skipped.
+    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted). Blocks with missing
+    numbers are skipped.
     """
 
     def __init__(self, n_channel: int, block: int = BLOCK) -> None:

@@ -27,9 +27,8 @@ HIGHEST = 1.001
 
 
 def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of an FRF table in SI units; DataError names missing columns.
-
-    A variance per element becomes a covariance without correlation between the elements.
+    """The response of an FRF table in SI units; DataError names missing columns. A variance per element
+    becomes a covariance without correlation between the elements.
     """
     table = CsvTable(path)
     check_columns(table, [FREQUENCY])

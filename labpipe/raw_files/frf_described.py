@@ -74,9 +74,8 @@ class TextColumns:
         return rows
 
     def column(self, index: int) -> ComplexArray:
-        """The numbers of a column (n_row,) [unit of the file].
-
-        DataError names the line of the first that is none.
+        """The numbers of a column (n_row,) [unit of the file]. DataError names the line of the first that is
+        none.
         """
         values = np.empty(len(self._rows), np.complex128)
         for place, (number, fields) in enumerate(self._rows):
@@ -160,9 +159,8 @@ class DescribedColumns:
         return self.word == "column" and re.search(r"\bdB\b", self.names[self._index(described)]) is not None
 
     def values(self, described: str) -> Any:
-        """The numbers [unit of the file], complex, (n_value,) or of any shape.
-
-        DataError with the place of the first that is missing.
+        """The numbers [unit of the file], complex, (n_value,) or of any shape. DataError with the place of
+        the first that is missing.
         """
         numbers = self._numbers(described)
         if numbers.dtype.kind not in "iufc" or not numbers.size:
@@ -268,10 +266,8 @@ class Dofs:
 
 
 def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
-    """The response of a file by the description of its columns or variables, in SI units.
-
-    DataError names file and, in a text, the line: for a missing column, a cell without a number, a unit that
-    the file contradicts.
+    """The response of a file by the description of its columns or variables, in SI units. DataError with file
+    and line for a missing column, a cell without a number, a unit that the file contradicts.
     """
     table = layout.table
     assert table is not None
@@ -419,9 +415,8 @@ def _scalar(source: DescribedColumns, text: str) -> float:
 def _whole(
     values: Any, shape: tuple[int, int, int], axes: tuple[str, ...], source: DescribedColumns, name: str
 ) -> Any:
-    """An array in the order frequency, output, input.
-
-    DataError when its size or the order of its dimensions is not clear.
+    """An array in the order frequency, output, input. DataError when its size or the order of its dimensions
+    is not clear.
     """
     orders = [tuple(AXES.index(axis) for axis in axes)] if axes else list(permutations(range(3)))
     # MATLAB drops trailing dimensions of 1, and a vector may lie either way.

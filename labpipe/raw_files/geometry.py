@@ -28,9 +28,8 @@ _BEAMS = (11, 21, 22, 23, 24)
 
 
 def read_geometry_uff(path: Path) -> Geometry:
-    """All nodes as points named by their labels, joined along trace lines and around elements.
-
-    DataError where there are none.
+    """All nodes as points named by their labels, joined along trace lines and around elements. DataError
+    where there are none.
     """
     nodes: dict[int, list[float]] = {}
     pairs: list[tuple[int, int]] = []
@@ -127,10 +126,8 @@ def read_geometry(path: Path) -> Geometry:
 
 def read_geometry_csv(path: Path) -> Geometry:
     """Points as rows under `point, x [mm], y [mm], z [mm], to`; *to*: points that a line joins to, separated
-    by blanks.
-
-    Without a column z all points lie at 0; a coordinate without a unit is in metres; rows that begin with #
-    are comments.
+    by blanks. Without a column z all points lie at 0; a coordinate without a unit is in metres; rows that
+    begin with # are comments.
     """
     try:
         lines = path.read_text("utf-8-sig").splitlines()

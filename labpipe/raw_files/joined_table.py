@@ -23,12 +23,9 @@ BESIDE = 0.1
 
 
 class JoinedTable:
-    """The columns of several tables. Satisfies Table.
-
-    A name that several files have is written STEM/NAME for all files but the first; what stands twice then is
-    listed twice. With *time*, the name of
-    their common time column, rows are those of equal times; without, row 1 stands beside row 1. What some
-    files have and others have not is cut, and `findings` says so once the table has been read.
+    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all but
+    the first. With *time*, the name of their common time column, rows are those of equal times; without, row
+    1 stands beside row 1. What some files lack is cut, and `findings` says so once the table has been read.
     """
 
     def __init__(self, tables: Sequence[Table], time: str | None) -> None:
@@ -61,10 +58,7 @@ class JoinedTable:
         return rates[0][1] if rates else None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file].
-
-        DataError for times that do not fit together.
-        """
+        """Consecutive chunks (n, n_column) [unit of the file]; DataError for times that do not fit."""
         places = [self._place[column] for column in columns]
         members = sorted({number for number, _ in places})
         # The time of every file is read along, to be compared.
@@ -158,9 +152,8 @@ TRUE_SHARE = 0.2
 
 
 class ResampledTable:
-    """Channels at several rates of one file at one *rate* [Hz], by cubic splines. Satisfies Table.
-
-    Rows reach over what all of *tables* cover. `findings` says what was resampled, once it has been read.
+    """Channels at several rates of one file at one *rate* [Hz], by cubic splines. Satisfies Table. Rows reach
+    over what all of *tables* cover. `findings` says what was resampled, once it has been read.
     """
 
     def __init__(self, tables: Sequence[Table], rate: float) -> None:
@@ -183,9 +176,8 @@ class ResampledTable:
         self._rates: dict[int, float] = {}
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """One chunk (n, n_column) [unit of the file] at the common rate.
-
-        DataError for a channel that is faster than that, for it would fold back.
+        """One chunk (n, n_column) [unit of the file] at the common rate. DataError for a channel that is
+        faster than that, for it would fold back.
         """
         from scipy.interpolate import CubicSpline
 

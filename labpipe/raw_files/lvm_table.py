@@ -31,9 +31,7 @@ UNITS = {
 @dataclass(frozen=True)
 class LvmHeader:
     """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from
-    1.
-
-    spectrum: the X values are frequencies [Hz], and no rate follows from their steps. starts: X0 of every
+    1. spectrum: the X values are frequencies [Hz], and no rate follows from their steps. starts: X0 of every
     field [s]; counts: its number of samples, where channels differ in their rates, else 0.
     """
 
@@ -51,12 +49,10 @@ class LvmHeader:
 
 
 class LvmTable:
-    """The channels of a LabVIEW measurement file. Satisfies Table.
-
-    Without columns of X values the rate is that of Delta_X; with them it is for the rig's `time: X_Value`,
-    and further segments, each under a header of its own, follow in their order. Of channels at several rates
-    the table holds those of the highest, or of *rate* [Hz], and `others` are the tables of the other rates.
-    DataError for another kind of text, and for segments without X values.
+    """The channels of a LabVIEW measurement file. Satisfies Table. Without columns of X values the rate is
+    that of Delta_X; with them it is for the rig's `time: X_Value`, and further segments follow in their
+    order. Of several rates the table holds the channels of the highest, or of *rate* [Hz]; `others` are the
+    tables of the other ones. DataError for another kind of text, and for segments without X values.
     """
 
     def __init__(self, path: Path, rate: float | None = None) -> None:
@@ -111,9 +107,8 @@ class LvmTable:
         raise DataError("is cut off in its header" if ended < 2 else untitled, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file].
-
-        DataError names line and column of what is no number.
+        """Consecutive chunks (n, n_column) [unit of the file]. DataError names line and column of what is no
+        number.
         """
         places = [self._places[name] for name in columns]
         rows: list[list[float]] = []

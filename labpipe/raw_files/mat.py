@@ -57,12 +57,9 @@ def _touch(_: str, item: object) -> None:
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
-    """The variables of these names in the file, arrays in MATLAB's order of dimensions, texts as arrays of
-    str.
-
-    MATLAB stores columns first, so its dimensions are reversed; a complex number is a pair (real, imag), a
-    text its UTF-16 codes, a cell references to its contents. Links into other files are not followed.
-    DataError when the file is damaged.
+    """The variables of these names, arrays in MATLAB's order of dimensions, texts as arrays of str. MATLAB
+    stores columns first, a complex number as (real, imag), a text as UTF-16 codes, a cell as references.
+    Links into other files are not followed. DataError for a damaged file.
     """
     check_hdf5(path)
     with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
@@ -125,10 +122,8 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 def check_elements(path: Path) -> None:
     """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
-    size.
-
-    Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked by
-    their readers.
+    size. Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked
+    by their readers.
     """
     content = path.read_bytes()
     if 0 not in content[:4]:
@@ -264,17 +259,15 @@ def _named_channels(arrays: dict[str, Any]) -> tuple[dict[str, str], dict[str, s
 
 
 def load_fields(path: Path) -> dict[str, Any]:
-    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x".
-
-    DataError as `load_variables`.
+    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x". DataError
+    as `load_variables`.
     """
     return dict(entry for name, value in load_variables(path).items() for entry in _fields(name, value))
 
 
 def mat_table(path: Path) -> ArraysTable:
-    """The vectors of a MATLAB file as a table.
-
-    A structure ``units`` with one text per vector gives their units.
+    """The vectors of a MATLAB file as a table. A structure ``units`` with one text per vector gives their
+    units.
     """
     if is_hdf5(path):
         return hdf5_table(path)
@@ -326,9 +319,7 @@ MOST_TEXTS = 10_000
 
 def hdf5_table(path: Path) -> ArraysTable:
     """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError
-    when it is damaged.
-
-    Links into other files are not followed.
+    when it is damaged. Links into other files are not followed.
     """
     check_filled(path)
     check_hdf5(path)
@@ -439,9 +430,8 @@ def holds_response(path: Path) -> bool:
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of a file written by `write_frf_mat`.
-
-    DataError names a missing variable or one of wrong size.
+    """The response of a file written by `write_frf_mat`. DataError names a missing variable or one of wrong
+    size.
     """
     variables = load_hdf5_variables(path, _KNOWN) if is_hdf5(path) else load_variables(path)
     needed = ("frequency_hz", "H", "form", "outputs", "inputs")
@@ -499,10 +489,7 @@ def _texts(cells: Any) -> list[str]:
 
 
 def write_recording_mat(path: Path, recording: Recording) -> None:
-    """Write one column vector per channel [SI], ``fs`` [Hz] and a structure ``units``.
-
-    Names become MATLAB's.
-    """
+    """Write a column vector per channel [SI], ``fs`` [Hz] and a structure ``units``, under MATLAB's names."""
     names = [re.sub(r"\W", "_", channel.name, flags=re.ASCII) for channel in recording.channels]
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:

@@ -48,10 +48,7 @@ def growing_rows(
     path: Path, columns: Sequence[str], first: int, most: int
 ) -> tuple[FloatArray, float | None]:
     """At most *most* rows (n, n_column) [unit of the file] from row *first* on of a file that is being
-    written; it states no rate.
-
-    Of a file that is not finished a copy is, by its flags: samples count as far as they are whole. DataError
-    for a column that is not there.
+    written, as far as they are whole; it states no rate. DataError for a column that is not there.
     """
     table: MdfTable | None = None
     rows: FloatArray = np.empty((0, len(columns)))
@@ -67,9 +64,7 @@ def growing_rows(
 
 class MdfTable:
     """The numeric channels of the longest group, or of *group*, and their times as the column "time [s]".
-    Satisfies Table.
-
-    `others` are the tables of the other groups.
+    Satisfies Table. `others` are the tables of the other groups.
     """
 
     def __init__(self, path: Path, group: int | None = None) -> None:
@@ -134,10 +129,8 @@ class MdfTable:
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
-        """The file.
-
-        DataError for a damaged one, for which the library has errors of many kinds, at opening and at
-        reading.
+        """The file. DataError for a damaged one, for which the library has errors of many kinds, at opening
+        and at reading.
         """
         # The library finishes a copy of a file that is being written, and forgets it where that fails.
         with TemporaryDirectory(prefix="labpipe-mdf-") as folder:

@@ -40,9 +40,8 @@ class ParquetTable:
             raise DataError("has no rows", path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
-
-        DataError for a column without numbers.
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other. DataError for a
+        column without numbers.
         """
         for parts in self.column_chunks(columns):
             rows = np.empty((len(columns), parts[0].size))
@@ -127,9 +126,8 @@ def _check_length(path: Path) -> None:
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:
-    """Samples by full scale: integers by 2^(bits - 1), bytes around 128.
-
-    Scipy gives 24 bit as the upper part of 32.
+    """Samples by full scale: integers by 2^(bits - 1), bytes around 128. Scipy gives 24 bit as the upper part
+    of 32.
     """
     if samples.dtype.kind == "f":
         return samples.astype(np.float64)
@@ -141,9 +139,8 @@ Row = tuple[Any, ...]
 
 
 class XlsxTable:
-    """The columns of the only sheet with numbers; formulas count with the values that Excel stored.
-
-    Satisfies Table.
+    """The columns of the only sheet with numbers; formulas count with the values that Excel stored. Satisfies
+    Table.
     """
 
     def __init__(self, path: Path) -> None:

@@ -24,10 +24,8 @@ AT_LIMIT = 1e-9
 
 class EndValues:
     """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all
-    where they crowd there.
-
-    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value
-    starts afresh.
+    where they crowd there. *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are
+    kept: a higher value starts afresh.
     """
 
     def __init__(self, sign: float) -> None:
@@ -40,9 +38,8 @@ class EndValues:
         self._values, self._counts = np.empty(0), np.empty(0, np.int64)
 
     def reaches(self, extreme: float) -> bool:
-        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted.
-
-        A run ends where it has none.
+        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted. A run ends
+        where it has none.
         """
         if self._values.size <= NEXT_VALUES or extreme >= self._reached:
             return True
@@ -122,9 +119,8 @@ class EndValues:
 
 
 class AtLimit:
-    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one.
-
-    A single one is clipped.
+    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one. A single one is
+    clipped.
     """
 
     def __init__(self, sign: float, limits: tuple[float, float]) -> None:
@@ -230,10 +226,9 @@ class ChannelScreen:
         self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]
     ) -> bool:
         """Add the next *n_sample* samples by the least and largest number of each channel (n_channel,) [unit
-        of the channel] alone.
-
-        *column_of* gives the samples (n_sample,) of a channel that must be looked at. No levels are known
-        then. False, and nothing added, for samples that are missing or beyond measure, which `add` takes.
+        of the channel] alone; *column_of* gives those (n_sample,) of a channel that must be looked at. No
+        levels are known then. False, and nothing added, for what `add` must take: missing samples, or beyond
+        measure.
         """
         if not (
             np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST
@@ -257,9 +252,8 @@ class ChannelScreen:
         self.n_sample += n_sample
 
     def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add a block that may hold NaN, *columns* its transpose.
-
-        The least and the largest number of each channel (n_channel,).
+        """Add a block that may hold NaN, *columns* its transpose. The least and the largest number of each
+        channel (n_channel,).
         """
         check_amounts(self._names, block, self.n_sample)
         missing = ~np.isfinite(columns)
@@ -396,9 +390,8 @@ class TimeAxisScreen:
         self._n_sample += times.size
 
     def sample_rate(self) -> float:
-        """(n - 1) / (t_last - t_first) [Hz].
-
-        DataError when the steps are not equal within jitter and the rounding of the times.
+        """(n - 1) / (t_last - t_first) [Hz]. DataError when the steps are not equal within jitter and the
+        rounding of the times.
         """
         if self._n_sample < 2:
             raise DataError(f"the time column '{self._column}' has fewer than two samples")
@@ -451,9 +444,8 @@ def plain_rate(step: float, uncertainty: float) -> float:
 
 
 def _printed_digits(times: FloatArray) -> int:
-    """Significant digits with which all times are printed, up to MOST_DIGITS.
-
-    More for numbers of full precision.
+    """Significant digits with which all times are printed, up to MOST_DIGITS. More for numbers of full
+    precision.
     """
     sizes = np.abs(times[times != 0])
     if not sizes.size:
@@ -476,7 +468,6 @@ def _last_digit(largest: float, digits: int) -> float:
 
 def _printed_resolution(times: FloatArray) -> float:
     """The last printed digit of the times: the largest power of ten, 1 at most, of which all are multiples.
-
     Never finer than the floating-point numbers: a date in seconds is accurate to 2e-7 s only.
     """
     spacing = float(np.spacing(np.max(np.abs(times))))

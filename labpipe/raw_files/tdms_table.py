@@ -30,9 +30,8 @@ _SAME = 1e-6
 
 
 class TdmsTable:
-    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table.
-
-    *sensitivities* where properties state them.
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table. *sensitivities*
+    where properties state them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -63,9 +62,8 @@ class TdmsTable:
         self.sample_rate = _rate(channels, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other.
-
-        DataError when the file is damaged.
+        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other. DataError
+        when the file is damaged.
         """
         for rows in self._rows(columns):
             yield rows.T
@@ -75,9 +73,8 @@ class TdmsTable:
         return map(list, self._rows(columns))
 
     def _rows(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """The same, columns as rows (n_column, n).
-
-        Every chunk of the file is read once, with all channels in it.
+        """The same, columns as rows (n_column, n). Every chunk of the file is read once, with all channels in
+        it.
         """
         places = [self._places[column] for column in columns]
         parts: list[list[FloatArray]] = [[] for _ in places]
@@ -102,9 +99,7 @@ def growing_rows(
     path: Path, columns: Sequence[str], first: int, most: int
 ) -> tuple[FloatArray, float | None]:
     """At most *most* rows (n, n_column) [unit of the file] from row *first* on of a file that is being
-    written, and its rate [Hz].
-
-    A last segment that is not whole yet counts as far as it goes. DataError for a column that is not there.
+    written, as far as they are whole, and its rate [Hz]. DataError for a column that is not there.
     """
     log_manager.set_level(logging.ERROR)
     try:

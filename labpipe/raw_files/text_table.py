@@ -126,9 +126,8 @@ def is_stamp(field: str) -> bool:
 
 
 class StampClock:
-    """Seconds since the midnight before the first stamp.
-
-    Days follow one another, so that no order of day and month is guessed.
+    """Seconds since the midnight before the first stamp. Days follow one another, so that no order of day and
+    month is guessed.
     """
 
     def __init__(self, column: str) -> None:
@@ -138,9 +137,8 @@ class StampClock:
         self._midnight = 0.0
 
     def seconds(self, stamps: Iterable[str | None]) -> FloatArray:
-        """The next stamps in seconds (n,) [s], NaN for a missing one.
-
-        DataError for a date that is not the next day.
+        """The next stamps in seconds (n,) [s], NaN for a missing one. DataError for a date that is not the
+        next day.
         """
         return np.array([self._second(stamp) for stamp in stamps], np.float64)
 
@@ -180,9 +178,7 @@ IsNumber = Callable[[str, str], bool]
 @dataclass(frozen=True)
 class Layout:
     """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is
-    0-based.
-
-    *stamps*: the fields that hold times of day or dates.
+    0-based. *stamps*: the fields that hold times of day or dates.
     """
 
     encoding: str
@@ -219,9 +215,8 @@ def fields_of(line: str, delimiter: str) -> list[str]:
 
 
 def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
-    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers.
-
-    *number* knows what a number is.
+    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers. *number*
+    knows what a number is.
     """
     encoding, lines = _head(path)
     sample = _sample(len(lines))
@@ -389,9 +384,8 @@ class CsvTable:
         self._clocks: dict[str, StampClock] | None = None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
-
-        DataError names line and column of the first row that is not numbers.
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other. DataError names
+        line and column of the first row that is not numbers.
         """
         try:
             with self._bytes() as source:

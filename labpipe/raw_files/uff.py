@@ -81,9 +81,8 @@ class UffScale:
 
 @dataclass(frozen=True)
 class UffRecord:
-    """One record 58 or 58b.
-
-    *start* and *step* of its abscissa, or an abscissa beside the numbers where *even* is false.
+    """One record 58 or 58b. *start* and *step* of its abscissa, or an abscissa beside the numbers where
+    *even* is false.
     """
 
     number: int
@@ -149,9 +148,8 @@ def open_uff(path: Path) -> mmap.mmap:
 
 
 def read_uff(path: Path) -> tuple[UffRecord, ...]:
-    """All records 58 and 58b of a universal file.
-
-    DataError for another or truncated file, or without such a record.
+    """All records 58 and 58b of a universal file. DataError for another or truncated file, or without such a
+    record.
     """
     with open_uff(path) as buffer:
         records = tuple(_records(_Lines(path, buffer)))
@@ -286,10 +284,9 @@ def _axis(fields: list[str]) -> UffAxis:
 def _binary_layout(
     buffer: mmap.mmap, begin: int, codes: list[str], ordinate_type: int, n_value: int, even: bool
 ) -> NumberLayout:
-    """The layout of binary numbers, up to the closing -1; ValueError when it is missing.
-
-    The byte count of the 58b header is not used: some programs count complex values once. Some programs write
-    the abscissa or single precision data as doubles, contrary to the format; the position of the -1 shows it.
+    """The layout of binary numbers, up to the closing -1; ValueError when it is missing. Not by the byte
+    count of the header, in which some programs count complex values once; some write doubles contrary to the
+    format, which the -1 shows.
     """
     _check_type(ordinate_type)
     if len(codes) < 2 or codes[0] not in _BYTE_ORDER or codes[1] != _IEEE:
@@ -312,9 +309,8 @@ def _check_type(ordinate_type: int) -> None:
 def read_numbers(
     buffer: mmap.mmap, layout: NumberLayout
 ) -> tuple[FloatArray | None, FloatArray | ComplexArray]:
-    """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file].
-
-    ValueError when their number differs from that of the header.
+    """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file]. ValueError
+    when their number differs from that of the header.
     """
     if layout.dtype is None:
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
@@ -361,9 +357,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 @dataclass(frozen=True)
 class FileShapes:
     """Mode shapes (n_point, n_mode) [1] of a file at its *points* ('12.z'), with frequency (n_mode,) [Hz] and
-    damping_ratio (n_mode,) [1].
-
-    others: records that are no modes, or of other nodes than the first one.
+    damping_ratio (n_mode,) [1]. others: records that are no modes, or of other nodes than the first one.
     """
 
     points: tuple[str, ...]

@@ -46,12 +46,10 @@ Stated = tuple[str, float | None]
 
 
 def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> FrequencyResponse:
-    """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6).
-
-    Rows and columns are the responses and references in order of appearance; a function in -X is converted to
-    +X. *stated*: form and SI value per value of the file, for records that leave their axes open (type 0);
-    without a factor their labels count, else SI. DataError for a missing or repeated element, for different
-    forms or frequencies, and for missing numbers.
+    """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6), rows and columns in
+    order of appearance; -X is converted to +X. *stated*: form and SI value per value of the file, for records
+    that leave their axes open (type 0); without a factor their labels count, else SI. DataError for a missing
+    or repeated element, different forms or frequencies, and missing numbers.
     """
     records = uff.read_uff(path)
     frfs = [record for record in records if record.function == uff.FRF]
@@ -289,9 +287,8 @@ def axis_unit(axis: uff.UffAxis) -> str:
 
 
 def form_of(record: uff.UffRecord) -> str:
-    """receptance, mobility or accelerance by the data types of the two axes.
-
-    DataError for any other function.
+    """receptance, mobility or accelerance by the data types of the two axes. DataError for any other
+    function.
     """
     of_force = record.denominator.kind in _FORCES
     if record.ordinate.kind in _OPEN and not of_force and (form := _labelled_form(record)):
@@ -316,9 +313,8 @@ def _check_directions(record: uff.UffRecord) -> None:
 
 
 def frf_factor(record: uff.UffRecord) -> float:
-    """SI value per value of an FRF record.
-
-    DataError for an unknown label, or one that contradicts the 164 record.
+    """SI value per value of an FRF record. DataError for an unknown label, or one that contradicts the 164
+    record.
     """
     labelled = _labelled_factor(record)
     if record.scale is None:
@@ -376,9 +372,7 @@ def _labelled_form(record: uff.UffRecord) -> str:
 
 def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> float:
     """SI value per value of a record whose *form* somebody states: their *factor*, else by its label where
-    that is a unit of this form, else 1.
-
-    DataError where the record itself says another form.
+    that is a unit of this form, else 1. DataError where the record itself says another form.
     """
     _check_directions(record)
     kind, of_force = record.ordinate.kind, record.denominator.kind in _FORCES
@@ -396,9 +390,8 @@ def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> fl
 
 
 def _labelled_factor(record: uff.UffRecord) -> float | None:
-    """The factor of the labels: one for the whole quotient, or one for each part.
-
-    1 without labels, None for unknown ones.
+    """The factor of the labels: one for the whole quotient, or one for each part. 1 without labels, None for
+    unknown ones.
     """
     kind, label, per = record.ordinate.kind, record.ordinate.unit, record.denominator
     if kind in _OPEN and not label:
@@ -422,7 +415,6 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
 
 def time_unit(record: uff.UffRecord) -> tuple[str, float]:
     """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
-
     With a record 164 the SI unit by data type; else the unit of the label, and factor 1. DataError for a
     label that contradicts the 164 record.
     """

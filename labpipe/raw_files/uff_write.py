@@ -36,10 +36,8 @@ _STRUCTURAL, _COMPLEX_EIGENVALUE, _TRANSLATIONS, _DISPLACEMENT = 1, 3, 2, 8
 
 def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False) -> None:
     """Write the FRFs, and coherences if available, as `read_frf_uff` reads them; the format has no
-    covariances.
-
-    Frequencies that do not follow from a first one and a step have six digits as text, all of them as binary
-    numbers.
+    covariances. Frequencies that do not follow from a first one and a step have six digits as text, all of
+    them as binary numbers.
     """
     kind = next((number for number, form in FORMS.items() if form == response.form), None)
     if kind is None:
@@ -77,10 +75,8 @@ def write_recording_uff(path: Path, recording: Recording, binary: bool = False) 
 
 def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
     """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are
-    no numbers.
-
-    Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out. DataError
-    where nothing else moves.
+    no numbers. Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out.
+    DataError where nothing else moves.
     """
     sets: list[dict[str, Any]] = []
     for fit in fits:
@@ -207,10 +203,8 @@ def _is_even_as_printed(abscissa: FloatArray) -> bool:
 
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:
-    """The units and all *sets* in a new file.
-
-    pyuff reads a file again after each set that it adds to it, so each is written alone; it leaves files
-    open, too.
+    """The units and all *sets* in a new file. pyuff reads a file again after each set that it adds to it, so
+    each is written alone; it leaves files open, too.
     """
     # Needed for this alone.
     import pyuff
