@@ -95,7 +95,6 @@ def _digest(member: Member) -> Member:
 
 
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
-    """DataError where the result was made by another build, or by a pipeline that says something else."""
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
         raise DataError(
@@ -359,9 +358,6 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
-    """The folder around all of an .eln, as a prefix; empty for a crate at the top. DataError without
-    metadata.
-    """
     if NAME in members:
         return ""
     tops = {PurePosixPath(name).parts[0] for name in members}
@@ -410,7 +406,6 @@ def unpack(path: Path, folder: Path) -> Unpacked:
 
 
 def _date(file: Listed, folder: Path) -> None:
-    """Have a file the day on which it was last changed: the day of a test of a dataset that states none."""
     try:
         day = datetime.datetime.fromisoformat(file.day).replace(hour=12, tzinfo=datetime.UTC).timestamp()
     except ValueError:

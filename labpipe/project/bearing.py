@@ -43,7 +43,6 @@ def stiffness_figure(name: str, bearing: BearingCoefficients) -> Figure:
 
 
 def _coefficient_text(bearing: BearingCoefficients, row: int, column: int) -> str:
-    """A coefficient in the unit people read, which stands below it; 0 where it is zero by structure."""
     if abs(bearing.relative[row, column]) < STRUCTURAL_ZERO:
         return "0"
     unit = bearing.unit(row, column)

@@ -40,7 +40,6 @@ class BearingFile:
         return settings
 
     def settings_at(self, entries: Sequence[str], conditions: Sequence[tuple[float, str]]) -> Any:
-        """The settings with *entries* set to (value, unit), one each."""
         for entry, (value, unit) in zip(entries, conditions, strict=True):
             set_entry(self.tree, f"{entry}={value!r} {unit}")
         return self.settings()

@@ -186,7 +186,6 @@ def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointThe
 
 
 def _to_si(text: str, si_unit: str | None) -> tuple[float, float]:
-    """(factor, offset) from the unit *text* to the one needed, or to SI; UnitError for another dimension."""
     si_unit = si_unit or name_of_dimension(parse_unit(text).dimension)
     offset = parse_value(f"0 {text}", si_unit)
     return parse_value(f"1 {text}", si_unit) - offset, offset

@@ -124,7 +124,6 @@ def _heads(contents: Contents, date: str) -> Iterator[Entity]:
 
 
 def _id(member: Member) -> str:
-    """The identifier of a file: its path, or what stands for a file that the archive does not hold."""
     return quote(member.name) if member.kept else f"#left-out/{quote(member.name)}"
 
 

@@ -41,9 +41,9 @@ def expanded_of(parameter: Parameter) -> float | None:
 def decide(
     rule: Rule, value: float | None, error: float | None, unit: str, expanded: float | None = None
 ) -> Compared:
-    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits. *expanded*: its
-    expanded uncertainty, by default that of a normal distribution. Without a value or an uncertainty it does
-    not, and the text says so. ConfigError for limits of another dimension.
+    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits; without either it
+    does not. *expanded*: its expanded uncertainty, by default that of a normal distribution. ConfigError for
+    limits of another dimension.
     """
     decision = rule.decision
     assert decision is not None

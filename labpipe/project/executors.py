@@ -36,7 +36,6 @@ ATTEMPTS = 3
 
 
 def serially(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-    """One after the other in this process."""
     return map(work, jobs)
 
 
@@ -62,7 +61,6 @@ def in_processes(count: int) -> Execute:
 
 
 def _pool(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
-    """Outcomes of the jobs that finish before a process is killed."""
     others = multiprocessing.active_children()
     # Fresh interpreters: forking a process that has threads is not safe.
     if not jobs:
@@ -131,19 +129,14 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
     batches: dict[Any, Sequence[Job]] = {}
 
-    def submit() -> Any:
-        batch = waiting.pop()
-        future = client.submit(work_on, work, batch, pure=False, retries=ATTEMPTS - 1)
-        batches[future] = batch
-        return future
-
     def ended(seconds: float) -> Any:
         with client.as_current():
             return distributed.wait(list(batches), timeout=seconds, return_when="FIRST_COMPLETED").done
 
     while waiting or batches:
         while waiting and len(batches) < MOST_BATCHES:
-            submit()
+            batch = waiting.pop()
+            batches[client.submit(work_on, work, batch, pure=False, retries=ATTEMPTS - 1)] = batch
         for future in _patiently(client, ended):
             # A worker that is ended now takes its outcome with it, which is then worked out again.
             error = _patiently(client, future.exception)
@@ -198,9 +191,6 @@ def _distribute() -> Any:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
-    """A client of the cluster that an address, "local" or a file names. What was started for it ends with
-    it.
-    """
     patience = CONNECT_SECONDS
     with ExitStack() as started:
         if address == LOCAL:
@@ -274,7 +264,6 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
 
 
 def _security(address: str) -> Any:
-    """The certificates that Dask's own configuration names, for an address tls://..., else None."""
     if not address.startswith("tls://"):
         return None
     security: Any = _distribute().Security()

@@ -86,7 +86,6 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
 
 
 def write_uff58b(artefact: Path, target: Path) -> None:
-    """The same with binary numbers."""
     write_uff(artefact, target, binary=True)
 
 
@@ -101,7 +100,6 @@ def write_mat(artefact: Path, target: Path) -> None:
 
 
 def write_shapes(artefact: Path, target: Path) -> None:
-    """The mode shapes of a result as a table: one row per mode and point."""
     write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
@@ -233,11 +231,9 @@ def write_covariance_parquet(artefact: Path, target: Path) -> None:
 
 
 def covariance_table(artefact: Path) -> pd.DataFrame:
-    """One row per test, fit, source and pair of parameters: covariance [product of the parameters' SI units].
-
-    The sum over all sources is the covariance of the combined uncertainties. Sources of one name are one
-    error in all fits: between two fits they add the product of `change`, that of a parameter by one standard
-    uncertainty of the source. DataError for another artefact.
+    """One row per test, fit, source and pair of parameters: covariance [product of the parameters' SI units];
+    summed over the sources that of the combined uncertainties. Sources of one name are one error in all fits:
+    between two they add the product of `change`, by one standard uncertainty. DataError for another artefact.
     """
     rows = [row for fit in result_of(artefact, "holds no parameters").fits for row in _rows(fit)]
     if not rows:

@@ -36,9 +36,8 @@ TIME_NAMES = (
 
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra | FileShapes:
-    """The overview of a recording, free decays or a raw file, or the response, the spectra or the mode shapes
-    of a file; DataError for one that cannot be read. Recordings and tables are read once, block by block;
-    what is kept does not grow with their length.
+    """The overview of a recording, free decays or a raw file, or the response, spectra or mode shapes of a
+    file, read once in blocks; DataError for one that cannot be read.
     """
     if file.is_file() and plain_suffix(file) in UFF_SUFFIXES:
         shapes = guard(read_shapes_uff, file)

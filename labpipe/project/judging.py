@@ -28,9 +28,9 @@ _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operato
 def compare_number(
     rule: Rule, value: float | None, unit: str, error: float | None = None, expanded: float | None = None
 ) -> deciding.Compared:
-    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule. One that could
-    not be given meets none. *error*, *expanded*: its standard and expanded uncertainty [unit], by which rules
-    with limits are decided; all others compare the value alone.
+    """Whether a number [*unit*, SI] meets the rule, and the number in the rule's unit; one that could not be
+    given meets none. *error*, *expanded*: its uncertainties [unit], by which rules with limits are decided;
+    all others compare the value alone.
     """
     if rule.decision is not None:
         return deciding.decide(rule, value, error, unit, expanded)
@@ -122,7 +122,6 @@ def judge(
 
 
 def unfounded(rule: Rule) -> RuleOutcome:
-    """The failed outcome of a rule that addresses what an incomplete result does not have."""
     return rule.outcome(None, False)
 
 
@@ -275,9 +274,7 @@ def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compar
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
-    """The fits that have the parameter of the rule. Of a calibration, only the first line has the linear
-    range.
-    """
+    # Of a calibration, only the first line has the linear range.
     if rule.item in _FIT_VALUES:
         return fits
     name, _ = _split(rule.item, fits)
@@ -325,8 +322,8 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
 def comparison_outcome(
     rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber
 ) -> RuleOutcome:
-    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an
-    unknown item. What could not be judged keeps no rule, and the outcome says why.
+    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. What could not be judged
+    keeps no rule. ConfigError for an unknown item.
     """
     comparison = next(candidate for candidate in comparisons if candidate.name == rule.fit)
     if rule.item == "verdict":

@@ -73,9 +73,8 @@ def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
 
 
 class Gathered:
-    """The outcomes of tests as they come: rows go to parts of the dataset, what concerns all tests is summed
-    up. Tests are taken in their order, whatever the order in which they end: the same results give the same
-    bytes.
+    """The outcomes of tests, taken in their order, whatever that in which they end: rows go to parts of the
+    dataset, what concerns all tests is summed up.
     """
 
     def __init__(self, jobs: Sequence[Job], output: OutputFolder) -> None:
@@ -101,7 +100,6 @@ class Gathered:
 
 
 def outcome_of(done: Done, test: Test) -> TestResult:
-    """The result of a test that ended, or why it has none."""
     if done.failed is not None:
         return failed_result(test, done.failed.message)
     assert done.result is not None

@@ -39,7 +39,6 @@ class Marked:
 
     @property
     def folder(self) -> Path:
-        """The folder of the file that it stands in."""
         return Path(self.where.rsplit(":", 2)[0]).parent
 
     def folder_of(self, key: str) -> Path:
@@ -133,7 +132,6 @@ def parse_marked(text: str, name: str) -> Marked:
 
 @lru_cache(maxsize=32)
 def _compose(text: str) -> yaml.Node | None:
-    """The nodes of YAML *text*, which nobody changes."""
     return _Loader(text).get_single_node()
 
 

@@ -104,7 +104,6 @@ def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
 
 
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
-    """The raw files behind recordings, for messages."""
     return ", ".join(
         recording.header.inputs[0].path
         if isinstance(recording, StoredRecording) and recording.header.inputs
@@ -174,7 +173,6 @@ def files_of_test(test: str) -> list[str]:
 
 
 def measured_files(folder: Path, test: str) -> list[Path]:
-    """What a folder of results holds of a test: its response, free decays or spectra."""
     return [path for name in files_of_test(test)[1:] if (path := folder / name).is_file()]
 
 

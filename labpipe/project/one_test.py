@@ -149,7 +149,6 @@ def day_of(test: Test, conditions: Mapping[str, str]) -> str:
 
 
 def files_of(test: Test) -> list[Path]:
-    """The files that a test was recorded in, or its ready responses."""
     recorded = [path for source in test.recordings for path in source.paths]
     return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
 
@@ -336,9 +335,6 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
 
 
 def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
-    """The test measured from calibrated recordings, made where they are not there. The references of the raw
-    files.
-    """
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
@@ -389,7 +385,6 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
-    """What was measured of the test, and its ready responses."""
     measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
     test = job.test
     return [*measured, *(load_ready_measured(ready, test.name, test.conditions) for ready in test.frfs)]
@@ -432,9 +427,9 @@ SCATTER_UNITS = {"degC": "K"}
 def recorded_conditions(
     recordings: Sequence[StoredRecording], recorded: Mapping[str, RecordedCondition]
 ) -> dict[str, str]:
-    """Every condition as text, "1000.2 N +- 3.1 N": its mean over all recordings, and the scatter of the
-    samples (of revolutions: speeds). ConfigError for a channel that a recording lacks; DataError for a tacho
-    without pulses.
+    """Every condition as text, "1000.2 N +- 3.1 N": mean over all recordings and scatter of the samples (of
+    revolutions: speeds). ConfigError for a channel that a recording lacks; DataError for a tacho without
+    pulses.
     """
     return {name: _text(*_amount(recordings, source)) for name, source in recorded.items()}
 

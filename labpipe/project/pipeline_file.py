@@ -449,7 +449,6 @@ def _read_entry(node: Marked, key: str, name: str, entry: PipelineSection, readi
 def _check_whole(
     tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
 ) -> None:
-    """Faults of the file as a whole: no work, missing sections, entries beside `tests:`."""
     for key in SINGLE:
         if key in entries and "tests" in entries:
             faults.add_at(entries, "", key, "has no effect beside tests:", "write it in each test")

@@ -110,7 +110,6 @@ class Rule:
 
     @property
     def text(self) -> str:
-        """The rule as people read it."""
         if self.decision is not None:
             within = " and ".join(rule.bound for rule in self.together) or self.bound
             return f"{self.address}: {within} ({self.decision.manner_text})"
@@ -329,7 +328,6 @@ def _spelling(code: str) -> str:
 
 @cache
 def _warnings() -> tuple[str, ...]:
-    """The codes of labpipe's findings, one a line, and the word for no warning."""
     lines = files("labpipe.records").joinpath("warnings.yaml").read_text("utf-8").splitlines()
     return ("none", *(line.partition(":")[0] for line in lines if not line.startswith("#")))
 

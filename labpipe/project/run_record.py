@@ -60,7 +60,6 @@ class Run:
 
     @property
     def line(self) -> bytes:
-        """The line as it stands in the file."""
         return (json.dumps(asdict(self), ensure_ascii=False) + "\n").encode()
 
 
@@ -143,7 +142,6 @@ def _next(runs: Sequence[Run], previous: str, **entries: object) -> Run:
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
-    """One process at a time; DataError where another one holds the record for too long."""
     end = time.monotonic() + PATIENCE
     with ExitStack() as stack:
         while True:
@@ -178,8 +176,8 @@ def _read(path: Path) -> tuple[list[Run], str]:
 
 
 def faults_of_record(path: Path) -> list[str]:
-    """What does not hold of a record: lines changed, removed or put in, and results that are not those of the
-    last run that it names for them.
+    """What does not hold of a record: lines changed, removed or put in, results that are not of their last
+    run.
     """
     runs = runs_of(path)
     faults = [] if runs and runs[0].outcome == BEGUN else ["its beginning was removed"]

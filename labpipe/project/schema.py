@@ -166,9 +166,6 @@ def of_kinds(
 
 
 def _section(entry: PipelineSection) -> dict[str, Any]:
-    """A section, or a mapping of names to entries. Of fits and comparisons with the sections that their kinds
-    have.
-    """
     owner = entry.settings
     schema = object_schema(owner)
     if owner in OWN_SECTIONS:
@@ -192,7 +189,6 @@ OWN_SECTIONS: dict[type, tuple[Callable[[], list[Any]], Callable[[str], str]]] =
 
 
 def object_schema(owner: type) -> dict[str, Any]:
-    """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
     properties = {
         name: {

@@ -47,7 +47,6 @@ class Faults:
         self.add(entries[name], join(key, name), message, hint)
 
     def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
-        """A value that could not be read, with the hint of the unit table."""
         self.add(node, key, error.what, error.hint)
 
     def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
@@ -81,7 +80,6 @@ class Faults:
         return {}
 
     def raise_any(self) -> None:
-        """Raise all faults together, in the order of the file."""
         if self._faults:
             raise ConfigErrors(self._faults)
 
@@ -276,9 +274,6 @@ def in_one_line(node: Marked, kind: str = "value") -> Marked:
 
 
 def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
-    """The text of a number with its uncertainty, which the settings take apart. None and a fault where it
-    cannot be read.
-    """
     try:
         parse_uncertain(node.text, setting.unit)
     except UnitError as error:

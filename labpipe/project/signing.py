@@ -64,7 +64,6 @@ class Key:
 
 @contextmanager
 def _signer(key: Key) -> Iterator[Any]:
-    """The signer of a key; ConfigError for one that cannot be read or is not valid today."""
     signers = _library("pyhanko.sign.signers")
     if key.file is not None:
         if not key.file.is_file():
@@ -109,11 +108,10 @@ def person(certificate: Any) -> str:
 
 
 def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "") -> Path:
-    """Sign a file as somebody who *measured*, *checked* or *approved*; the file that holds the signature.
-
-    A PDF is signed by PAdES: the first signature makes NAME.signed.pdf beside it, further ones go into that.
-    Any other file has the signature FILE.ROLE.p7s. *timestamp*: URL of a time-stamp server (RFC 3161).
-    ConfigError for a key that cannot be used or a role that has signed; DataError for no file to sign.
+    """Sign a file as somebody who *measured*, *checked* or *approved*; the file that holds the signature. A
+    PDF is signed by PAdES, first into NAME.signed.pdf beside it, further ones into that; any other file has
+    the signature FILE.ROLE.p7s. *timestamp*: URL of a time-stamp server (RFC 3161). ConfigError for a key
+    that cannot be used or a role that has signed; DataError for no file to sign.
     """
     if not path.is_file():
         raise DataError("no such file", path, "sign a report (.pdf) or an archive (.zip, .eln)")
@@ -184,7 +182,6 @@ def members_of(path: Path) -> dict[str, str]:
 
 
 def _with_hints(plain: Any, text: str) -> Any:
-    """The signed attributes of a signature with content hints added."""
     core: Any = _library("asn1crypto.core")
     cms = _library("asn1crypto.cms")
     attributes: Any = _library("pyhanko.sign.attributes")
@@ -257,7 +254,6 @@ def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
 
 
 def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
-    """What vouches for a signer: nothing where no certificate is named."""
     keys, crl = _library("pyhanko.keys"), _library("asn1crypto.crl")
     roots: list[Any] = []
     for file in trust.roots:
@@ -342,7 +338,6 @@ def _time_of_stamp(status: Any) -> datetime.datetime | None:
 
 
 def _faults(status: Any, trust: Trust) -> tuple[str, ...]:
-    """What does not hold of a signature: the bytes, the signature itself, who vouches for the signer."""
     name = person(status.signing_cert)
     if not status.intact:
         return ("is not what was signed: a byte of it was changed",)

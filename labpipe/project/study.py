@@ -114,7 +114,6 @@ def _means_table(study: Study, fit: str) -> Table:
 
 
 def _noise_figure(study: Study) -> Figure:
-    """Median error, RMSE over the bound, coverage and success over the noise; grey: required."""
     fits = list(dict.fromkeys(case.fit for case in study.cases))
     panels = []
     # Title, unit, logarithmic axis, value of a case, required value of every panel.
@@ -224,7 +223,6 @@ def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
 
 
 def study_lines(studies: Studies) -> Iterator[str]:
-    """One line for every fit at every noise level, then the thresholds."""
     return (line for study in studies for line in _study_lines(study))
 
 

@@ -40,7 +40,6 @@ class ReadyFrf:
         return stems[0][:common].strip("-_ .") or stems[0]
 
     def absolute(self) -> ReadyFrf:
-        """The same for a process that works in another folder."""
         return replace(self, paths=tuple(path.absolute() for path in self.paths))
 
 
@@ -135,7 +134,6 @@ class SourceFile:
         return (self.path, *self.joined)
 
     def absolute(self) -> SourceFile:
-        """The same for a process that works in another folder."""
         return self.at({path: path.absolute() for path in self.paths if not is_remote(path)})
 
     def at(self, places: Mapping[Path, Path]) -> SourceFile:

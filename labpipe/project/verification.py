@@ -187,9 +187,7 @@ def pipeline_folder(path: Path) -> Path | None:
 
 
 def differences(first: Path, second: Path) -> list[str]:
-    """The artefacts in two folders of results that are not the same byte for byte, and those of the first
-    that the second lacks.
-    """
+    """The artefacts of a first folder of results that a second lacks, or has with another content."""
     lines = []
     for path in filter(Path.is_file, artefacts_below(first)):
         name = path.relative_to(first)

@@ -28,11 +28,10 @@ COMPARE_PREFIX, FIT_PREFIX = "compare.", "identify."
 
 @dataclass(frozen=True)
 class Work:
-    """A pipeline whose recordings have been measured.
-
-    tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by
-    test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are missing,
-    and comparisons that cannot do without them. *jobs*: processes of a study, 0 for one per processor.
+    """A pipeline whose recordings have been measured. tests: what came of every test. test_fits: fits already
+    made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that
+    are missing, and comparisons that cannot do without them. *jobs*: processes of a study, 0 for one per
+    processor.
     """
 
     pipeline: Pipeline

@@ -101,12 +101,17 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
     return rates[0]
 
 
+def _last(name: str) -> str:
+    """The name without the groups and structures that it is in."""
+    return re.split("[./]", name)[-1]
+
+
 def _is_time(name: str) -> bool:
-    return name.rpartition("/")[2].rpartition(".")[2].lower() in ("t", "time")
+    return _last(name).lower() in ("t", "time")
 
 
 def _is_named(name: str, names: tuple[str, ...]) -> bool:
-    last_part = name.rpartition("/")[2].rpartition(".")[2].lower()
+    last_part = _last(name).lower()
     return last_part in names or last_part.removeprefix("time_") in names
 
 
@@ -124,17 +129,16 @@ _SIGNAL = re.compile(r"Signal\s+(\w+)\b[^\n;]*?\bEU\s+([^\s,;]+)")
 def describe(
     columns: Sequence[str], texts: Mapping[str, Sequence[str]]
 ) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
-    """(names, units, sensitivities) of *columns* by what *texts* beside them say. A list of as many texts as
-    there are columns is theirs in order, one of as many as a matrix has columns is of that matrix; NAME_unit
-    is that of NAME.
+    """(names, units, sensitivities) of *columns* by *texts* beside them: a list of as many texts as there are
+    columns, or columns of a matrix, is theirs in order; NAME_unit is that of NAME.
     """
     stated: dict[str, dict[str, str]] = {"names": {}, "units": {}, "sensitivities": {}}
-    by_last = {name.rpartition(".")[2].rpartition("/")[2]: name for name in columns}
+    by_last = {_last(name): name for name in columns}
     matrices: dict[str, list[str]] = {}
     for name in columns:
         matrices.setdefault(re.sub(r"_\d+$", "", name), []).append(name)
     for key, entries in texts.items():
-        last = key.rpartition(".")[2].rpartition("/")[2]
+        last = _last(key)
         for name, unit in _SIGNAL.findall("\n".join(entries)):
             if name in by_last:
                 stated["units"].setdefault(by_last[name], unit)

@@ -58,8 +58,8 @@ class CertifiedQuantity:
 
 @dataclass(frozen=True)
 class Certificate:
-    """A certificate: its *number*, the serial and other numbers of what was calibrated, the last day on which
-    it is valid (None: not stated), and what it states. *refused*: why it must not be used, empty for none.
+    """A certificate: its *number*, serial and other numbers of what was calibrated, the last day on which it
+    is valid (None: not stated), and what it states. *refused*: why it must not be used.
     """
 
     number: str
@@ -197,7 +197,6 @@ def _day(element: ET.Element) -> datetime.date:
 
 
 def _validity(administrative: ET.Element, end: datetime.date) -> tuple[datetime.date | None, str]:
-    """The last day on which the certificate is valid, as its statements say, and why it must not be used."""
     days: list[datetime.date] = []
     refused = ""
     for statement in administrative.iterfind(f"{DCC}statements/{DCC}statement"):

@@ -97,11 +97,14 @@ def round_down(samples: int) -> int:
     return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
 
 
+def _excited(power: FloatArray) -> IntArray:
+    above_zero = np.append(0.0, power[1:])
+    return np.flatnonzero(above_zero > EXCITED * above_zero.max())
+
+
 def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
     whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
-    power = np.abs(fft.rfft(whole)) ** 2
-    power[0] = 0.0
-    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / period
+    lines = _excited(np.abs(fft.rfft(whole)) ** 2) * sample_rate / period
     return float(lines[0]), float(lines[-1])
 
 
@@ -109,8 +112,7 @@ def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
     length = max(force.size // BLOCKS, 8)
     blocks = force[: force.size // length * length].reshape(-1, length)
     power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)
-    power[0] = 0.0
-    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / length
+    lines = _excited(power) * sample_rate / length
     if not lines.size:
         # A force that does not vary, or holds no number, has power nowhere.
         return 0.0, 0.4 * sample_rate
@@ -145,11 +147,8 @@ class EnvelopeTrack:
             if self._low.shape[0] < self._most:
                 break
             # The number of intervals is even here, so that they merge in pairs.
-            self._low, self._high, self._step = (
-                _extremes(self._low, 2)[0],
-                _extremes(self._high, 2)[1],
-                2 * self._step,
-            )
+            self._low, self._high = _extremes(self._low, 2)[0], _extremes(self._high, 2)[1]
+            self._step *= 2
         self._rest = pending
 
     def envelopes(self) -> tuple[Envelope, ...]:
@@ -164,8 +163,7 @@ class EnvelopeTrack:
 def _extremes(rows: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """(smallest, largest) of every *step* rows, missing numbers passed over."""
     stretches = rows.reshape(-1, step, rows.shape[1])
-    low, high = np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
-    return low, high
+    return np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
 
 
 class SpectrumTrack:

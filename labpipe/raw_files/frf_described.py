@@ -42,7 +42,6 @@ def complex_of(field: str, decimal: str) -> complex:
 
 
 def is_complex(field: str, decimal: str) -> bool:
-    """True if a field is one number, real or complex, with this decimal sign."""
     try:
         complex_of(field, decimal)
     except ValueError:
@@ -350,7 +349,6 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
 
 
 def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfLayout) -> None:
-    """DataError when the file itself states another unit than that of the *part* of a complex number."""
     stated, described = source.unit(column), layout.unit or FORMS[layout.form]
     if part != "amplitude_db" and source.in_decibels(column):
         what = f"column '{column}' is in decibels by the file's own header"

@@ -126,8 +126,8 @@ def read_geometry(path: Path) -> Geometry:
 
 def read_geometry_csv(path: Path) -> Geometry:
     """Points as rows under `point, x [mm], y [mm], z [mm], to`; *to*: points that a line joins to, separated
-    by blanks. Without a column z all points lie at 0; a coordinate without a unit is in metres; rows that
-    begin with # are comments.
+    by blanks. Without z all lie at 0, without a unit coordinates are in metres; rows that begin with # are
+    comments.
     """
     try:
         lines = path.read_text("utf-8-sig").splitlines()

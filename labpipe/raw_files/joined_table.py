@@ -51,10 +51,8 @@ class JoinedTable:
         ]
         for name, rate in rates[1:]:
             if abs(rate / rates[0][1] - 1) > SAME_RATE:
-                raise DataError(
-                    f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz",
-                    hint="one run has one rate",
-                )
+                what = f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz"
+                raise DataError(what, hint="one run has one rate")
         return rates[0][1] if rates else None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
@@ -101,22 +99,15 @@ class JoinedTable:
             if not abs(step / steps[0] - 1) < max(
                 1 / min(firsts[0].shape[0], firsts[number].shape[0]), SAME_RATE
             ):
-                name = self._tables[members[number]].path.name
-                what = (
-                    f"the time steps of {name} ({step:g}) differ from those of {self.path.name} "
-                    f"({steps[0]:g})"
-                )
-                raise DataError(
-                    what, hint="where that comes from times of few digits, by: sample joins row by row"
-                )
+                name, first = self._tables[members[number]].path.name, f"{self.path.name} ({steps[0]:g})"
+                what = f"the time steps of {name} ({step:g}) differ from those of {first}"
+                hint = "where that comes from times of few digits, by: sample joins row by row"
+                raise DataError(what, hint=hint)
         for number, start in enumerate(starts):
             offset = (start - starts[0]) / steps[0]
-            if abs(offset - round(offset)) > BESIDE:
+            if (beside := abs(offset - round(offset))) > BESIDE:
                 name = self._tables[members[number]].path.name
-                what = (
-                    f"the times of {name} lie {abs(offset - round(offset)):.2f} steps beside those of "
-                    f"{self.path.name}"
-                )
+                what = f"the times of {name} lie {beside:.2f} steps beside those of {self.path.name}"
                 raise DataError(what, self.path, "resample one of them; by: sample joins row by row")
         skipped = [round((max(starts) - start) / steps[0]) for start in starts]
         return [chain([first], stream) for first, stream in zip(firsts, streams, strict=True)], skipped
@@ -128,12 +119,9 @@ class JoinedTable:
             beside = np.abs(block[:, 0] - first) > 0.5 * step
             if first.size > 1 and beside.any():
                 n = int(np.argmax(beside))
-                name = self._tables[members[number]].path.name
-                what = (
-                    f"the times of {name} and {self.path.name} run apart: {block[n, 0]:g} and "
-                    f"{first[n]:g} at common row {row + n + 1}"
-                )
-                raise DataError(what, hint="a lost sample, or two clocks")
+                names = f"{self._tables[members[number]].path.name} and {self.path.name}"
+                at = f"{block[n, 0]:g} and {first[n]:g} at common row {row + n + 1}"
+                raise DataError(f"the times of {names} run apart: {at}", hint="a lost sample, or two clocks")
 
     def findings(self) -> tuple[Finding, ...]:
         return tuple(

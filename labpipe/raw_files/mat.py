@@ -82,7 +82,6 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
 
 
 def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
-    """True if a readable HDF5 file holds data sets of all these names."""
     check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
@@ -122,8 +121,7 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 def check_elements(path: Path) -> None:
     """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
-    size. Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked
-    by their readers.
+    size; zlib.error for a wrong checksum. Versions 4 and 7.3 are checked by their readers.
     """
     content = path.read_bytes()
     if 0 not in content[:4]:
@@ -133,7 +131,6 @@ def check_elements(path: Path) -> None:
 
 
 def _check(content: memoryview, begin: int, end: int, order: str, top: bool = False) -> int:
-    """Check the elements from *begin* to *end*, including those inside matrices; their number."""
     number = 0
     while begin < end:
         kind, start, size, following = _element(content, begin, end, order)
@@ -307,7 +304,6 @@ def lines_of(value: Any) -> list[str]:
 
 
 def text_of(value: Any) -> str:
-    """A char variable as text, '' for anything else."""
     array = np.asarray(value)
     return str(array.flat[0]) if array.dtype.kind == "U" and array.size == 1 else ""
 
@@ -383,7 +379,6 @@ def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
 
 
 def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
-    """The first attribute of a column's data set that is named as one of *keys*, in letters of any size."""
     item: Any = sets.get(name)
     if item is None:
         item = sets.get(name.rpartition("_")[0])

@@ -118,7 +118,6 @@ def wav_chunks(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
 
 
 def _check_length(path: Path) -> None:
-    """DataError where the header claims more samples than the file holds, before memory is asked for them."""
     with path.open("rb") as stream:
         for name, place, length in wav_chunks(stream):
             if name == b"data" and place + length > path.stat().st_size:

@@ -188,6 +188,11 @@ def check_amounts(names: Sequence[str], block: FloatArray, first: int) -> None:
     raise DataError(what, hint="check the unit, the sensitivity and the column")
 
 
+def _are_measured(low: FloatArray, high: FloatArray) -> bool:
+    is_finite = np.isfinite(low).all() and np.isfinite(high).all()
+    return bool(is_finite and max(-low.min(), high.max()) <= LARGEST)
+
+
 class ChannelScreen:
     """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold
     NaN.
@@ -216,7 +221,7 @@ class ChannelScreen:
         low, high = columns.min(axis=1), columns.max(axis=1)
         # A missing number makes both ends one, an infinity one of them: most blocks have neither, and are not
         # searched.
-        if np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST:
+        if _are_measured(low, high):
             self._add_levels(columns)
         else:
             low, high = self._add_with_gaps(block, columns)
@@ -230,9 +235,7 @@ class ChannelScreen:
         levels are known then. False, and nothing added, for what `add` must take: missing samples, or beyond
         measure.
         """
-        if not (
-            np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST
-        ):
+        if not _are_measured(low, high):
             return False
         self._add_ends(low, high, n_sample, column_of)
         return True
@@ -243,18 +246,12 @@ class ChannelScreen:
         self.minimum, self.maximum = np.minimum(self.minimum, low), np.maximum(self.maximum, high)
         for number, (lower, upper) in enumerate(self._ends):
             # Most blocks of a long record stay within what was there before, and are not searched.
-            for end in [
-                end
-                for end, extreme in ((lower, -low[number]), (upper, high[number]))
-                if end.reaches(float(extreme))
-            ]:
-                end.add(column_of(number), self.n_sample)
+            for end, extreme in ((lower, -low[number]), (upper, high[number])):
+                if end.reaches(float(extreme)):
+                    end.add(column_of(number), self.n_sample)
         self.n_sample += n_sample
 
     def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add a block that may hold NaN, *columns* its transpose. The least and the largest number of each
-        channel (n_channel,).
-        """
         check_amounts(self._names, block, self.n_sample)
         missing = ~np.isfinite(columns)
         self._add_levels(columns, missing)
@@ -309,14 +306,9 @@ class ChannelScreen:
         faults: list[Finding] = []
         for number, name in enumerate(self._names):
             if self._n_missing[number]:
-                count, first = self._n_missing[number], self._first_missing[number]
-                faults.append(
-                    Finding(
-                        "gap",
-                        f"channel {name}: {count} of {self.n_sample} samples are no numbers, the "
-                        f"first is sample {first}",
-                    )
-                )
+                what = f"{self._n_missing[number]} of {self.n_sample} samples are no numbers"
+                first = self._first_missing[number]
+                faults.append(Finding("gap", f"channel {name}: {what}, the first is sample {first}"))
             if self._n_missing[number] == self.n_sample:
                 continue
             if not self.maximum[number] > self.minimum[number]:
@@ -368,15 +360,13 @@ class TimeAxisScreen:
             sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
             raise DataError(f"the time column '{self._column}' has no number at sample {sample}")
         joined = times if self._n_sample == 0 else np.concatenate([[self._last], times])
-        offset = self._n_sample if self._n_sample == 0 else self._n_sample - 1
+        offset = max(self._n_sample - 1, 0)
         steps = np.diff(joined)
         if steps.size:
             if np.any(steps < 0):
                 sample = offset + 1 + int(np.argmax(steps < 0))
-                raise DataError(
-                    f"the time column '{self._column}' does not rise at sample {sample} "
-                    f"({joined[sample - offset]:g} s)"
-                )
+                at = f"sample {sample} ({joined[sample - offset]:g} s)"
+                raise DataError(f"the time column '{self._column}' does not rise at {at}")
             if np.isnan(self._typical):
                 self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
@@ -414,17 +404,16 @@ class TimeAxisScreen:
         stored = float(np.spacing(max(abs(self._first), abs(self._last))))
         allowed = JITTER * step + stored + (resolution if coarse else 0.0)
         if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
-            raise DataError(
-                f"the time column '{self._column}' does not rise at sample {self._smallest[1]}",
-                hint="times of too few digits? give sample_rate in the rig file instead of time",
-            )
+            what = f"the time column '{self._column}' does not rise at sample {self._smallest[1]}"
+            hint = "times of too few digits? give sample_rate in the rig file instead of time"
+            raise DataError(what, hint=hint)
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
+                what = f"the time steps of column '{self._column}' are not equal"
+                hint = "a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
                 raise DataError(
-                    f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample "
-                    f"{sample}, {step:g} s on average",
-                    hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
-                    "rig file instead of time",
+                    f"{what}: {extreme:g} s at sample {sample}, {step:g} s on average",
+                    hint=f"{hint}rig file instead of time",
                 )
         if not 1 / FASTEST <= step <= FASTEST:
             what = f"the time steps of column '{self._column}' are {step:g} s"

@@ -132,7 +132,6 @@ def check_in_child(path: Path, kind: str, touch: Touch) -> None:
 
 
 def _look(path: Path, touch: Touch, seconds: int) -> int:
-    """The exit code of a child process that reads the file, negative for the signal that ended it."""
     if not hasattr(os, "fork"):
         module = [sys.executable, "-m", "labpipe.raw_files.table"]
         command = [*module, touch.__module__, touch.__name__, str(path)]
@@ -236,7 +235,6 @@ class QuickTable(Table, Protocol):
 
 
 def as_quick(table: Table) -> QuickTable | None:
-    """The table where it is a quick one; None for any other."""
     return cast(QuickTable, table) if getattr(table, "n_row", None) is not None else None
 
 

@@ -35,7 +35,6 @@ def plain_suffix(path: Path) -> str:
 
 
 def open_unpacked(path: Path) -> BinaryIO:
-    """The bytes of a file, decompressed according to its suffix."""
     if path.suffix.lower() in PACKED:
         compression = "gzip" if path.suffix.lower() == ".gz" else "zstd"
         stream: BinaryIO = pa.input_stream(str(path), compression=compression)
@@ -74,7 +73,6 @@ def check_filled(path: Path) -> None:
 
 
 def damaged(path: Path, error: Exception) -> DataError:
-    """The error of a compressed file that cannot be decompressed."""
     what = f"cannot be unpacked ({str(error).splitlines()[0][:80]})"
     return DataError(what, path, "the file is damaged or cut off")
 

@@ -282,7 +282,6 @@ def readable_unit(label: str, kind: int) -> str:
 
 
 def axis_unit(axis: uff.UffAxis) -> str:
-    """The unit of an axis by its label, '' for none or an unknown one."""
     return readable_unit(axis.unit, axis.kind) if axis.unit else ""
 
 
@@ -330,7 +329,6 @@ def frf_factor(record: uff.UffRecord) -> float:
 
 
 def _check_label(record: uff.UffRecord, labelled: float, factor: float) -> None:
-    """DataError where the label's SI value per value is not the *factor* of the 164 record."""
     if abs(labelled / factor - 1) > _SAME:
         what = f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
         raise DataError(what, hint="correct the record that is wrong")
@@ -414,9 +412,8 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
 
 
 def time_unit(record: uff.UffRecord) -> tuple[str, float]:
-    """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
-    With a record 164 the SI unit by data type; else the unit of the label, and factor 1. DataError for a
-    label that contradicts the 164 record.
+    """(unit, factor) of a time record: the numbers times the factor are in the unit, that of SI with a record
+    164, else of the label; ('', 1) without one. DataError for a label that contradicts record 164.
     """
     kind, label = record.ordinate.kind, axis_unit(record.ordinate)
     if record.scale is None or kind not in SI_UNITS:

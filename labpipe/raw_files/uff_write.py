@@ -170,7 +170,6 @@ def _function(
     values: NDArray[Any],
     axes: dict[str, Any],
 ) -> dict[str, Any]:
-    """One record 58; the abscissa is stored beside the values unless it is evenly spaced as printed."""
     (response, reference), time = ends, function == TIME
     return {
         "type": 58,
