@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property, partial
@@ -24,13 +25,19 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
-from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
+from labpipe.raw_files.screening import JITTER, ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
 from labpipe.records.rig import Rig, RigChannel, time_scale
 
 # Ends of the range of a channel that cannot clip.
 FAR = (-1e300, 1e300)
+TIME_NAMES = (
+    "t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time",
+    "uhrzeit",
+)  # fmt: skip
+# Rates that differ by more are not those of one recording, whatever its clock.
+ANOTHER_RATE = 0.01
 # Rates are written down with this many digits at least.
 SAME_RATE = 1e-4
 # Samples that are calibrated at once.
@@ -101,6 +108,28 @@ def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
+def named_times(table: Table) -> list[str]:
+    """The columns that are times by their names, and no frequencies by their unit."""
+    names = (name for name in dict.fromkeys(table.columns) if table.units.get(name) != "Hz")
+    return [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in TIME_NAMES]
+
+
+def _check_rate(table: Table, rig: Rig) -> None:
+    """DataError where times in a unit say another rate than the rig file; few digits may change their median
+    step, gaps their mean one, and neither both.
+    """
+    for name in named_times(table) if rig.sample_rate else ():
+        if table.columns.count(name) > 1 or name not in table.units:
+            continue
+        times = next(iter(table.chunks([name])))[:, 0] * time_scale(name, table.units)
+        steps = np.diff(times) if times.size > 1 else np.zeros(1)
+        both = np.array([steps.mean(), np.median(steps)])
+        if np.all(both > 0) and np.all(np.abs(both * (rig.sample_rate or 0.0) - 1) > ANOTHER_RATE):
+            by_rig = f"at {rig.sample_rate:g} Hz by the rig file"
+            what = f"is sampled at {1 / both[0]:g} Hz by its column '{name}', {by_rig}"
+            raise DataError(what, table.path, f"time: '{name}' in place of sample_rate, or correct it")
+
+
 def check_table(table: Table, rig: Rig) -> list[str]:
     """The columns of the rig's channels, the time before them. DataError for one that is missing, or whose
     unit is another.
@@ -108,6 +137,7 @@ def check_table(table: Table, rig: Rig) -> list[str]:
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
     check_time(table, rig.time)
+    _check_rate(table, rig)
     for channel in rig.channels:
         _check_unit(table, channel)
     return timed
@@ -177,7 +207,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> r
                 block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
                 screen.add(block)
                 writer.write(calibration.with_sums(block))
-            sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
+            sample_rate = _rate_of_times(time, table) if time is not None else stated_rate(table, rig)
             contents = recording_file.recording_contents(channels, sample_rate, name, screen.levels())
             of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
             findings = (*of_table, *screen.findings())
@@ -218,6 +248,14 @@ def stated_rate(table: Table, rig: Rig) -> float:
         message = f"is sampled at {file_rate:g} Hz by the file itself, {by_rig}"
         raise DataError(message, table.path, "leave sample_rate out of the rig file, or correct it")
     return float(rig.sample_rate or file_rate or 0.0)
+
+
+def _rate_of_times(screen: TimeAxisScreen, table: Table) -> float:
+    rate, stated = screen.sample_rate(), table.sample_rate
+    if stated is not None and abs(stated / rate - 1) > JITTER:
+        what = f"is sampled at {stated:g} Hz by the file itself, at {rate:g} Hz by its times"
+        raise DataError(what, table.path, "leave time out of the rig file, or correct the file")
+    return rate
 
 
 def _check_unit(table: Table, channel: RigChannel) -> None:
@@ -310,7 +348,7 @@ class RawRecording:
         screen = TimeAxisScreen(self.rig.time)
         for (times,) in self._table.column_chunks([self.rig.time]):
             screen.add(np.asarray(times, np.float64) * time_scale(self.rig.time, self._table.units))
-        return screen.sample_rate()
+        return _rate_of_times(screen, self._table)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -197,7 +197,8 @@ def test_channels_of_one_run_in_several_files(folder: Path) -> None:
         ),
         (
             "recordings: runs/z.csv\n",
-            "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the file that names them",
+            "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the file that names "
+            "them",
         ),
         (
             "recordings: 'z*.csv'\n",
