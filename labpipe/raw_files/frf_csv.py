@@ -1,11 +1,11 @@
 """Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, if available, ``o/i:var``,
-``o/i:coh``.
+``o/i:coh``; in comments above the form, and the dof of a response or force that is not called by it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,12 +50,18 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     variance = part("var")
     if variance is not None and np.any(variance < 0):
         raise DataError(f"holds the negative variance {variance.min():g}", path)
+    form, dofs = _notes(path)
+
+    def ports(side: str, labels: Iterable[str]) -> tuple[Port, ...]:
+        named = ((label, port_of(dofs.get((side, label), label))) for label in labels)
+        return tuple(Port(label, label, port.dof, port.angle) for label, port in named)
+
     return FrequencyResponse(
         frequency=columns[FREQUENCY],
         matrix=part("re") + 1j * part("im"),
-        outputs=tuple(port_of(label) for label in outputs),
-        inputs=tuple(port_of(label) for label in inputs),
-        form=_form(path),
+        outputs=ports("response", outputs),
+        inputs=ports("force", inputs),
+        form=form,
         covariance=None if variance is None else uncorrelated(variance),
         coherence=checked_coherence(part("coh"), path),
         name=name,
@@ -79,18 +85,25 @@ def port_of(label: str) -> Port:
     return Port(label, label, label, angle if " " in label or label in AXIS_ANGLES else None)
 
 
-def _form(path: Path) -> str:
+def _notes(path: Path) -> tuple[str, dict[tuple[str, str], str]]:
+    """What the comment lines above the table say: the form, receptance by default, and the dofs of ports by
+    their side and label.
+    """
+    form, dofs = "", dict[tuple[str, str], str]()
     with open_text(path, "utf-8-sig") as lines:
         for number, line in enumerate(lines, 1):
             comment = line.strip(' \r\n\t"')
             if comment and not comment.startswith("#"):
                 break
-            match = re.match(r"#\s*form\s*[:=]\s*(\w+)", comment.lower())
-            if match and match[1] not in FORMS:
-                raise DataError(f"unknown form '{match[1]}'", f"{path}:{number}", nearest(match[1], FORMS))
-            if match:
-                return match[1]
-    return "receptance"
+            if match := re.match(r"#\s*form\s*[:=]\s*(\w+)", comment.lower()):
+                form = form or match[1]
+                if match[1] not in FORMS:
+                    raise DataError(
+                        f"unknown form '{match[1]}'", f"{path}:{number}", nearest(match[1], FORMS)
+                    )
+            elif match := re.match(r"#\s*(response|force) (.+) in (.+)", comment):
+                dofs[match[1], match[2]] = match[3]
+    return form or "receptance", dofs
 
 
 def cube(outputs: Sequence[Any], inputs: Sequence[Any], values: Callable[[Any, Any], Any]) -> Any:
@@ -115,5 +128,8 @@ def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
             if response.coherence is not None:
                 columns[f"{pair}:coh"] = response.coherence[:, o, i]
     with path.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.write(f"# form: {response.form}\n{','.join(str(cell(name)) for name in columns)}\n")
+        stream.write(f"# form: {response.form}\n")
+        for side, ports in (("response", response.outputs), ("force", response.inputs)):
+            stream.writelines(f"# {side} {p.label} in {p.dof}\n" for p in ports if p.dof != p.label)
+        stream.write(f"{','.join(str(cell(name)) for name in columns)}\n")
         np.savetxt(stream, np.stack(list(columns.values()), 1), "%.17g", delimiter=",")

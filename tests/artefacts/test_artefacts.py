@@ -19,7 +19,7 @@ from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.errors import DataError
-from labpipe.raw_files.frf_csv import read_frf_csv, write_frf_csv
+from labpipe.raw_files.frf_csv import port_of, read_frf_csv, write_frf_csv
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification, RuleOutcome
 from labpipe.records.recording import Channel
@@ -78,6 +78,12 @@ def test_frf_table_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
     np.testing.assert_allclose(other.variance, one.variance, rtol=1e-15)
     np.testing.assert_allclose(other.coherence, one.coherence, rtol=1e-15)
     assert (other.form, [p.label for p in other.outputs]) == ("accelerance", ["x", "y"])
+    # A probe named y along 135 deg was read back along 90 deg.
+    probes = tuple(
+        replace(port_of(dof), label=name, channel=name) for name, dof in (("x", "45 deg"), ("y", "135 deg"))
+    )
+    write_frf_csv(tmp_path / "a.csv", replace(one, outputs=probes))
+    assert read_frf_csv(tmp_path / "a.csv").outputs == probes
 
 
 @pytest.mark.parametrize(
