@@ -1,8 +1,6 @@
-"""One file that holds a result with all it was made from: an RO-Crate in a ZIP.
-
-The same bytes for the same content, and reading that trusts no name and no size. Files are stored as they
-are, in the order of their names, at the first moment that ZIP knows: compression would make the bytes depend
-on the library that compresses. A recording that is compressed itself (.csv.gz) stays so.
+"""One file that holds a result with all it was made from: an RO-Crate in a ZIP; reading it trusts no name and
+no size. Files are stored as they are, in the order of their names, at the first moment that ZIP knows, so
+that the same content gives the same bytes: compression would depend on its library.
 """
 
 from __future__ import annotations
@@ -85,9 +83,7 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
 
 
 def _digest(member: Member) -> Member:
-    """The member with digest and size. One that is not kept and lies elsewhere has the digest that the result
-    names.
-    """
+    """The member with digest and size; one that lies elsewhere keeps the digest that the result names."""
     if is_remote(member.path):
         return member
     digest = source_ref(member.path, member.path.parent).sha256
@@ -142,9 +138,8 @@ def _role_of_result(name: str) -> str:
 def _project(
     pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool
 ) -> tuple[str, list[Member]]:
-    """The pipeline's name in the archive, and it with all files that it names, in folders as they are.
-    digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings
-    were last changed.
+    """The pipeline's name in the archive, and it with all files that it names. digests: of raw files by their
+    paths or URLs. dated: the result depends on the days of the recordings.
     """
     raw = [path for test in pipeline.tests for path in files_of(test)]
     remote = next(filter(is_remote, raw), None)
@@ -176,8 +171,8 @@ def _absolute(path: Path) -> Path:
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first, and those that they name. All other files
-    that any of them names.
+    """The settings files that a settings file names, itself first; and all other files that any of them
+    names.
     """
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:

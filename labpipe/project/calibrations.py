@@ -87,7 +87,6 @@ def _of_channel(
 
 
 def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
-    """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
     value, _, unit = text.strip().partition(" ")
     number = uncertain.parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
     return replace(number, value=1.0, std_error=number.std_error / abs(number.value))
@@ -219,7 +218,7 @@ class CertificateSettings(Settings):
 @dataclass(frozen=True)
 class Certified:
     """What a certificate gives: the sensitivity as a *text*, its uncertainties, and rows (frequency [Hz],
-    gain [1], phase [rad]) of the response over frequency, none where it states one number.
+    gain [1], phase [rad]) of the response over frequency, if it states one.
     """
 
     text: str

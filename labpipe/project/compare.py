@@ -56,7 +56,6 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
 
 
 def _each(settings: Sequence[Any], prefix: str, work: Work, make: Callable[[Any], Any]) -> tuple[Any, ...]:
-    """What is made of every entry; one that cannot do without a failed test is named among the failures."""
     records = []
     for entry in settings:
         try:
@@ -89,8 +88,8 @@ def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMat
 
 
 def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
-    """What a bearing file or a table in the *folder* of the pipeline says of the coefficients at conditions
-    [SI]; None where the matrix names neither. DataError, ConfigError for a file that does not fit.
+    """What a bearing file or a table in the *folder* of the pipeline says of coefficients at conditions [SI];
+    None without. DataError, ConfigError for a file that does not fit.
     """
     if settings.theory is None:
         return None

@@ -23,8 +23,7 @@ from labpipe.records.identification import Identification
 @dataclass(frozen=True)
 class Member:
     """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256. kept:
-    it is in the archive itself, not only its digest. day: on which it was last changed, where the result
-    depends on that.
+    it is in the archive itself. day: on which it was last changed, where the result depends on that.
     """
 
     name: str

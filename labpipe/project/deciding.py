@@ -155,7 +155,7 @@ def _end(value: float) -> float | None:
 class Limited:
     """A number with the limits that it must keep: *value* and standard uncertainty *error* [its unit], None
     where one is missing, with the reason in *why*; *changes* by one standard uncertainty of every systematic
-    source. owner: the fit or comparison that it is of, *name* there.
+    source. owner: its fit or comparison, *name* there.
     """
 
     owner: Fit | Comparison

@@ -1,6 +1,4 @@
-"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster:
-one that runs already, one of this machine, or one that a file describes.
-
+"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster.
 Tests go out in batches, a bounded number at a time: a scheduler spends about a millisecond on a task, however
 short that is, and keeps each until its outcome is taken.
 """
@@ -122,9 +120,7 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
 
 def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-    """Outcomes as they come. Tests of a batch whose workers were all ended are tried alone, so that one of
-    them costs no other.
-    """
+    """Outcomes as they come. Tests of a batch whose workers were all ended are tried alone."""
     size = batch_size(len(jobs), len(client.nthreads()))
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
     batches: dict[Any, Sequence[Job]] = {}
@@ -152,9 +148,7 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
 
 
 def _patiently(client: Any, ask: Callable[[float], Any]) -> Any:
-    """What is asked for within some seconds, again and again as long as there are workers. DataError where
-    there was none for an hour.
-    """
+    """What is asked for again and again as long as there are workers; DataError after an hour without any."""
     since = time.monotonic()
     while True:
         try:

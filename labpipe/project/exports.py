@@ -308,7 +308,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
 
 def write_plant_mat(artefact: Path, target: Path) -> None:
     """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
-    overbound's k, zero and pole [Hz]. DataError for several such fits, of which a file holds one.
+    overbound's k, zero and pole [Hz]. DataError for several such fits.
     """
 
     fits = robust_fits(artefact)

@@ -114,7 +114,6 @@ def _of_table(path: Path) -> GuessedFrf | None:
 
 
 def _unit_of_frf(unit: str) -> str:
-    """The unit, in labpipe's notation where it is SI; '' for one that is none of an FRF."""
     for form in MECHANICAL:
         try:
             return FORMS[form] if unit_of(unit, FORMS[form]).factor == 1 else unit
@@ -158,10 +157,9 @@ def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     elements, doubts = _complex_elements(vectors)
     if not elements:
         elements, doubts = _pairs(vectors)
-    size = _usual_size(vectors, elements)
-    elements = {
-        name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
-    }
+    sizes = [_first(vectors, parts).size for parts in elements.values()]
+    size = max(sizes, key=sizes.count, default=0)
+    elements = {name: parts for name, parts in elements.items() if _first(vectors, parts).size == size}
     axis = _axis_of(vectors, size, elements)
     lines, frequency = (
         ({"frequency": axis}, vectors[axis].real) if axis else frf_described.equal_steps(source, size)
@@ -264,11 +262,6 @@ def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
             if partner:
                 elements[stem] = {kind: name, other: partner}
     return elements, tuple(dict.fromkeys(doubts))
-
-
-def _usual_size(vectors: Vectors, elements: Elements) -> int:
-    sizes = [_first(vectors, parts).size for parts in elements.values()]
-    return max(sizes, key=sizes.count, default=0)
 
 
 def _axis_of(vectors: Vectors, size: int, elements: Elements) -> str:

@@ -1,7 +1,5 @@
-"""ingest: raw files -> calibrated recordings in SI units, chunk by chunk, with what was found in them.
-
-A file of which a reading costs no more than reading that copy would, and of which single columns can be read,
-is measured as it is read, without a copy.
+"""ingest: raw files -> calibrated recordings in SI units, chunk by chunk, with what was found in them. A file
+that is read as fast as that copy, and by single columns, is measured as it is read, without a copy.
 """
 
 from __future__ import annotations

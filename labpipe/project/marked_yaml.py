@@ -1,8 +1,6 @@
-"""YAML in which every key and value has its line and column; duplicate keys are refused.
-
-A parsed file is a tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list
-``list[Marked]``, a scalar the plain Python value. The tree is edited by ``--set`` and read by the
-configuration, which reports faults at the marks.
+"""YAML in which every key and value has its line and column; duplicate keys are refused. A parsed file is a
+tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list ``list[Marked]``, a scalar
+the plain Python value. ``--set`` edits it.
 """
 
 from __future__ import annotations

@@ -130,9 +130,6 @@ Course = tuple[FloatArray, ComplexArray]
 
 
 def _course(identification: Identification, matrix: ConditionMatrix, point: MatrixPoint) -> Course:
-    """The mean course of the repeats at a point: that of the fitted models, or of K, C and M where fits hold
-    none.
-    """
     fits = [fit for fit in identification.fits if fit.name == matrix.fit and fit.test in point.tests]
     drawn = [detail.course for fit in fits for detail in fit.details if detail.course is not None]
     if drawn:

@@ -93,7 +93,6 @@ def measured_header(
 
 
 def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
-    """DataError for files of the same bytes in the same channels: they are one recording, no repeats."""
     seen: dict[Any, str] = {}
     for recording, ref in zip(recordings, header.inputs, strict=True):
         files = recording.header.inputs if isinstance(recording, StoredRecording) else (ref,)

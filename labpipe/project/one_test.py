@@ -186,12 +186,10 @@ def silent(_message: str) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """All that one test needs.
-
-    names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the
-    run's output folder; scratch: the run's folder for what is not finished. rules: of a run whose results are
-    kept as a dataset, by which the test is judged by itself; None for others. measured_before: its response
-    is there, by `labpipe frf`, and its recordings are not looked at.
+    """All that one test needs. names: the file names of its calibrated recordings. fits: those that depend on
+    no other fit. target: the run's output folder; scratch: for what is not finished. rules: by which the test
+    is judged by itself, for a dataset; None for others. measured_before: its response is there, by `labpipe
+    frf`.
     """
 
     test: Test
@@ -229,8 +227,7 @@ class Job:
 @dataclass(frozen=True)
 class Done:
     """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its
-    *result* for a dataset. halts: it failed by a fault of the machine that other tests will meet as well,
-    such as a full disk.
+    *result* for a dataset. halts: by a fault of the machine that other tests will meet as well.
     """
 
     test: str

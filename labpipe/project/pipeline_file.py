@@ -188,9 +188,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
 
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
-    """The entries with the settings of a model that needs no section, where they stand in the fit itself,
-    moved into its section.
-    """
+    """The entries of a fit, with the settings of a model that needs no section moved into its section."""
     model = entries["model"].text if "model" in entries else ""
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:

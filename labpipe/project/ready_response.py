@@ -77,7 +77,6 @@ OWN_LAYOUT = ("lacks the variable", f"no column '{FREQUENCY}'", "no columns 'out
 
 
 def _other_layouts(path: Path, hint: str | None) -> str:
-    """What was tried beside labpipe's own layout, and what it missed, or how its FRF is described."""
     try:
         guessed = guessed_frf(path)
     except DataError:

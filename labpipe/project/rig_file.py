@@ -155,23 +155,17 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
                 faults.add_at(entries, "", name, "must be positive")
     if len(faults) > before or settings is None:
         return None
+    same = ("name", "description", "sample_rate", "time", "resample", "mass")
     return Rig(
-        name=settings.name,
         channels=tuple(channels),
-        sample_rate=settings.sample_rate,
-        time=settings.time,
-        mass=settings.mass,
-        description=settings.description,
         derived=derived,
         mass_uncertainty=dict(settings.uncertainties).get("mass"),
-        resample=settings.resample,
+        **{name: getattr(settings, name) for name in same},
     )
 
 
 def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:
-    """The channels, with those under ``derived:``, whose sums are listed: {sum: {f: 1, a: -30 kg +- 0.1 kg},
-    quantity: force}.
-    """
+    """The channels, with sums under ``derived:``: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force}."""
     channels = entries.get("channels")
     if channels is None or "derived" not in entries or not isinstance(channels.content, dict):
         return channels
@@ -238,9 +232,7 @@ def _read_sums(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> tuple[Channel, ...]:
-    """The channels that are sums of others, written out in recorded channels. A channel that could not be
-    read is no second fault.
-    """
+    """The channels that are sums, written out in recorded channels."""
     quantities = {
         name: entry.content["quantity"].text
         for name, entry in entries.items()
@@ -302,8 +294,8 @@ def _sum_channel(
 
 
 def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, calibrations.Certified | None]:
-    """A channel with the number of its certificate in the place of the reference to it, and what else the
-    certificate states; None without one.
+    """A channel with the number of its certificate in place of the reference to it, and what else that
+    states.
     """
     entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
     if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:

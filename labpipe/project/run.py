@@ -1,7 +1,5 @@
-"""A whole pipeline: the stages in their order, what is fresh left as it is.
-
-A single test is all or nothing. Of several tests each is all or nothing: one that fails is named and the
-others are finished.
+"""A whole pipeline: the stages in their order, what is fresh left as it is. A test is all or nothing; of
+several tests one that fails is named and the others are finished.
 """
 
 from __future__ import annotations
@@ -108,7 +106,6 @@ def _run_many(
     *,
     measured_before: bool = False,
 ) -> Identification:
-    """All stages of so many tests that their results are kept as a dataset, or those after the responses."""
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules)
         jobs = [replace(job, measured_before=measured_before) for job in jobs]
@@ -162,9 +159,7 @@ def _jobs(
     fits: Sequence[str],
     rules: tuple[Rule, ...] | None = None,
 ) -> list[one_test.Job]:
-    """One job for each test. ConfigError when two would write the same file, or a fit names a test that there
-    is not.
-    """
+    """One job for each test; ConfigError when two would write the same file, or a fit names no test."""
     file_stems([test.name for test in pipeline.tests], "tests", pipeline.path)
     test_names = [
         name
@@ -194,7 +189,6 @@ def _jobs(
 
 
 def _outcomes(jobs: Sequence[one_test.Job], manner: Manner) -> Iterator[one_test.Done]:
-    """Outcomes of the jobs as they end; DataError when the user interrupts them."""
     count = 0
     try:
         for outcome in manner.execute(one_test.work, jobs):

@@ -1,9 +1,7 @@
-"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line for
-each run.
-
-It is begun once for a folder, and every run whose results lie in or below it adds a line. A line holds the
-digest of the line before, so that a line that was changed, removed or put in shows, and the digest of its
-result, so that a result shows that no run made. It is beside the artefacts, which hold no clock.
+"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line for each
+run whose results lie in or below it. A line holds the digest of the line before, so that a line that was
+changed, removed or put in shows, and the digest of its result, so that a result shows that no run made. It is
+beside the artefacts, which hold no clock.
 """
 
 from __future__ import annotations

@@ -92,8 +92,8 @@ TYPED = 0.75
 
 
 def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
-    """The hint for an unknown key: the allowed one that is spelt nearly so, else the only one whose meaning
-    begins with the word.
+    """The hint for an unknown key: the allowed one spelt nearly so, else the only one whose meaning begins
+    so.
     """
     stem = name.lower().rstrip("s")
     by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
@@ -217,9 +217,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
 
 
 def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
-    """The mapping with the keys of this version. A note for each that it holds under the name of the version
-    before.
-    """
+    """The mapping with the keys of this version, and a note for each of the version before."""
     if not isinstance(node.content, dict):
         return node
     new = {setting.before: name for name, (setting, _) in settings.items() if name not in node.content}

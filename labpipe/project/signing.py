@@ -51,8 +51,8 @@ def _library(name: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Key:
-    """The key of a person: a PKCS#12 *file*, or the *token* of a PKCS#11 library (*module*) with the label of
-    its certificate; *secret*: password or PIN.
+    """The key of a person: a PKCS#12 *file*, or the *token* of a PKCS#11 *module* with the *label* of its
+    certificate; *secret*: password or PIN.
     """
 
     file: Path | None = None
@@ -213,7 +213,7 @@ class Trust:
 @dataclass(frozen=True)
 class Signature:
     """A signature as it was found: of which *file*, by *signer* as *role*, for a *reason*, at the *time* that
-    the signer states or a time stamp proves (*stamped*). faults: what does not hold.
+    is stated, or proven by a time stamp (*stamped*). faults: what does not hold.
     """
 
     file: Path
@@ -283,7 +283,6 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
 
 
 def _status(validate: Callable[..., Any], trust: Trust) -> Any:
-    """The state of a signature now, or where a time stamp says when it was made, at that time."""
     constraints = _library("pyhanko.sign.validation.settings").KeyUsageConstraints
     usage = constraints(key_usage=USAGES, match_all_key_usages=False)
     moment = None

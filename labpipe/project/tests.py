@@ -20,8 +20,7 @@ from labpipe.spectra.settings import FrfSettings
 @dataclass(frozen=True)
 class ReadyFrf:
     """Files of one ready FRF matrix: one file, or one for each element, row or column. *layout* describes
-    files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that its name or the
-    entry gives.
+    files that do not describe themselves; *outputs*, *inputs*: the dofs of every file.
     """
 
     paths: tuple[Path, ...]
@@ -119,9 +118,8 @@ BY = ("time", "sample")
 
 @dataclass(frozen=True)
 class SourceFile:
-    """One recorded file and the rig that recorded it. *path* may be the URL of an object storage. *joined*:
-    further files with channels of the same run, *by*: joined on time or by sample, by default on time where
-    all have it.
+    """One recorded file and the rig that recorded it. *path* may be a URL of an object storage. *joined*:
+    further files with channels of the same run, *by* time or sample, by default by time where all have it.
     """
 
     path: Path
@@ -269,11 +267,8 @@ REPEATS = ("each", "pool")
 @dataclass(frozen=True)
 class Test:
     """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the
-    file.
-
-    recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made,
-    where it differs from the pipeline's. repeats: what fits make of several recordings, `each` or `pool`;
-    empty where the fits say it.
+    file. recorded: those that the recordings show. frf: how its spectra are made, where that differs.
+    repeats: what fits make of several recordings, `each` or `pool`; empty where the fits say it.
     """
 
     name: str
@@ -351,8 +346,8 @@ class TestReader:
             yield self._test(name, node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, named after it; conditions from the name by the pattern. Files whose names
-        differ only in the parts named by `together` are recordings of one test.
+        """One test per file, named after it; files that differ only in the parts named by `together` are
+        recordings of one test.
         """
         per_file = self._each(entries, key)
         together = self._together(entries, key)

@@ -45,9 +45,7 @@ class Verified:
 
 @dataclass(frozen=True)
 class _Kind:
-    """An artefact by the end of its name: how it is read whole, its digest, and the files that it names, with
-    paths from the pipeline.
-    """
+    """An artefact by the end of its name: how it is read, its digest, and the files that it names."""
 
     read: Callable[[Path], Any]
     digest: Callable[[Path], str]
@@ -64,7 +62,6 @@ def _header_inputs(path: Path) -> Sequence[Reference]:
 
 
 def _from(raw: bool, path: Path) -> Sequence[Reference]:
-    """What something was measured from: raw files, or calibrated recordings; none of the other ones."""
     return _header_inputs(path) if (RIGS in header_of(path).parameters) == raw else ()
 
 

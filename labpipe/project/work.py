@@ -97,9 +97,7 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
 
 
 def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
-    """The settings with the result of the earlier fit that they begin with. LabpipeError names the fit, and
-    why the earlier one failed.
-    """
+    """The settings with the result of the earlier fit that they begin with, or why it failed."""
     where = f"{work.pipeline.path}: identify.{settings.name}"
     earlier = settings.kind.earlier(settings)
     if earlier and not any(earlier in (fit.name, fit.test) for fit in fits):

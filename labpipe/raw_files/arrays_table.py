@@ -156,8 +156,8 @@ def describe(
 
 
 class ArraysTable:
-    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with their number of
-    values; *texts*: what stands beside the numbers, which may say names, units and sensitivities.
+    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with these; *texts*
+    beside the numbers may say names, units and sensitivities.
     """
 
     def __init__(

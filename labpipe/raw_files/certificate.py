@@ -1,9 +1,7 @@
-"""Calibration certificates: the Digital Calibration Certificate (DCC) of PTB, XML of schema 3, and tables
-of plain certificates as CSV.
-
-A certificate is read without a network, without entities and without a schema file: its structure is held
-against what the published schema 3 asks for (https://ptb.de/dcc) where a number, its unit, its uncertainty,
-its validity or its identity depends on it. A signature inside the XML is not verified.
+"""Calibration certificates: the Digital Calibration Certificate (DCC) of PTB, XML of schema 3, and tables of
+plain certificates as CSV. They are read without a network, entities or a schema file: held against what the
+published schema 3 (https://ptb.de/dcc) asks for where a number, its unit, uncertainty, validity or identity
+depends on it. A signature inside the XML is not verified.
 """
 
 from __future__ import annotations
@@ -234,9 +232,7 @@ def _serials(items: ET.Element) -> Iterator[str]:
 
 
 def _quantities(results: ET.Element) -> Iterator[CertifiedQuantity]:
-    """The quantities of all results, each list of quantities as a table; what stands inside a quantity as its
-    metadata is none of them.
-    """
+    """The quantities of all results, each list of quantities as a table; not those inside as metadata."""
     table = 0
     for result in results.iterfind(f"{DCC}measurementResult/{DCC}results/{DCC}result"):
         pending = [_only(result, "data")]
@@ -358,10 +354,8 @@ def unit_text(text: str) -> str:
             raise UnitError(f"the unit '{text[:80]}' is not known at '\\{word}'")
     if prefix or sign or not parts:
         raise UnitError(f"the unit '{text[:80]}' ends too early")
-    return ".".join(
-        f"{symbol}^{power}1" if power == "-" else f"{symbol}^{power}" if power else symbol
-        for symbol, power in parts
-    )
+    powers = {"": "", "-": "^-1"}
+    return ".".join(symbol + powers.get(power, f"^{power}") for symbol, power in parts)
 
 
 def _negate(power: str) -> str:

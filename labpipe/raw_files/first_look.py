@@ -50,9 +50,8 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
 
 
 def find_period(signal: FloatArray) -> int:
-    """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0
-    when it is not periodic. A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE
-    and is a local maximum.
+    """The period of a signal (n_sample,) [any unit] in samples, at least two of them in it; 0 for none. A lag
+    L counts when the correlation of x[n] and x[n + L] exceeds ALIKE and is a local maximum.
     """
     n = signal.size
     if n < 8 or not np.any(signal):

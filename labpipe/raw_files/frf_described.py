@@ -95,7 +95,7 @@ VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
 
 class DescribedColumns:
     """*names* of columns or variables, their *units* where the file states them, and what reads one by its
-    place among the names; *signals*: structures of Simcenter Test.Lab among the variables.
+    place; *signals*: structures of Simcenter Test.Lab among the variables.
     """
 
     def __init__(
@@ -238,8 +238,8 @@ def equal_steps(source: DescribedColumns, size: int) -> tuple[dict[str, str], Fl
 
 
 def _step_by_scalars(source: DescribedColumns, size: int) -> float:
-    """The distance of *size* lines [Hz] where two numbers of the file are the samples of a block and their
-    rate; 0 where none are.
+    """The distance of *size* lines [Hz] by the samples of a block and their rate among the numbers of the
+    file; 0 without.
     """
     scalars: dict[str, float] = {}
     for name in source.names:

@@ -125,20 +125,16 @@ class LvmTable:
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
-                if number >= self._header.first_line:
-                    self._check_segment(number)
+                if number >= self._header.first_line and X_VALUE not in self._places:
+                    hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
+                    what = "a second segment begins, and no X values say when"
+                    raise DataError(what, f"{self.path}:{number}", hint)
                 inside = True
             elif inside and first in ("Channels", "Notes"):
                 inside = False
             elif inside and left > 0 and line.strip():
                 yield number, line
                 left -= 1
-
-    def _check_segment(self, number: int) -> None:
-        if X_VALUE not in self._places:
-            hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
-            what = "a second segment begins, and no X values say when"
-            raise DataError(what, f"{self.path}:{number}", hint)
 
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
         fields = line.split(self._header.delimiter)

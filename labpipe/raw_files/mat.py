@@ -232,8 +232,8 @@ _SAMPLES, _NAMES, _UNIT_FIELDS = ("data", "values", "y"), ("name", "label"), ("u
 
 
 def _named_channels(arrays: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
-    """For arrays in a structure that also says a name or a unit: key -> the column's name, where no two
-    channels share it; key -> unit.
+    """Of arrays in a structure with a name or a unit: key -> the column's name, where no two share it; key ->
+    unit.
     """
     lower = {key.lower(): key for key in arrays}
     names: dict[str, str] = {}

@@ -78,9 +78,6 @@ class EndValues:
         self._open = last if ends[-1] == column.size else 0
 
     def _outermost(self, column: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Where the column (n,) reaches the outermost values so far, and its values there times the sign:
-        few, after the first block.
-        """
         if self._values.size <= NEXT_VALUES:
             places = np.flatnonzero(np.isfinite(column))
             return places, self._sign * column[places]
@@ -314,15 +311,13 @@ class ChannelScreen:
             if not self.maximum[number] > self.minimum[number]:
                 faults.append(Finding("constant", f"channel {name} does not vary at all"))
                 continue
-            self._check_size(number, name)
+            largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
+            # Their squares vanish.
+            if largest < SMALLEST:
+                what = f"channel {name}: no number above {largest:g}, which nothing measures"
+                raise DataError(what, hint="check the unit, the sensitivity and the column")
             faults.extend(self._clipping(number, name))
         return tuple(faults)
-
-    def _check_size(self, number: int, name: str) -> None:
-        largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
-        if largest < SMALLEST:
-            what = f"channel {name}: no number above {largest:g}, which nothing measures"
-            raise DataError(what, hint="check the unit, the sensitivity and the column")
 
     def _clipping(self, number: int, name: str) -> list[Finding]:
         runs = [end.clipped() for end in self._ends[number]]

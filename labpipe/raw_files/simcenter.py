@@ -28,8 +28,7 @@ _UNITS = (
 @dataclass(frozen=True)
 class Signals:
     """What one structure *place* of a file holds: *step* of its axis and the axis's unit (s, Hz), labels of
-    the responding channels and, of FRFs, of the references, as many as columns; *unit* of the numbers, '' for
-    one that has no name.
+    responding channels and, of FRFs, of references, one for each column; *unit* of the numbers, '' for none.
     """
 
     place: str

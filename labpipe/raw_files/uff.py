@@ -357,7 +357,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 @dataclass(frozen=True)
 class FileShapes:
     """Mode shapes (n_point, n_mode) [1] of a file at its *points* ('12.z'), with frequency (n_mode,) [Hz] and
-    damping_ratio (n_mode,) [1]. others: records that are no modes, or of other nodes than the first one.
+    damping_ratio (n_mode,) [1]. others: records that are no modes, or of other nodes.
     """
 
     points: tuple[str, ...]

@@ -68,12 +68,12 @@ def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> Fr
 
 
 def _one_form(frfs: Sequence[uff.UffRecord]) -> str:
-    forms = [form_of(record) for record in frfs]
-    for record, form in zip(frfs, forms, strict=True):
-        if form != forms[0]:
-            what = f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}"
+    first = form_of(frfs[0])
+    for record in frfs:
+        if (form := form_of(record)) != first:
+            what = f"{record.where} is a {form}, {frfs[0].where} a {first}"
             raise DataError(what, hint="one file holds one form")
-    return forms[0]
+    return first
 
 
 def _response(
@@ -369,8 +369,8 @@ def _labelled_form(record: uff.UffRecord) -> str:
 
 
 def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> float:
-    """SI value per value of a record whose *form* somebody states: their *factor*, else by its label where
-    that is a unit of this form, else 1. DataError where the record itself says another form.
+    """SI value per value of a record whose *form* somebody states: their *factor*, else by its label, else 1.
+    DataError where the record itself says another form.
     """
     _check_directions(record)
     kind, of_force = record.ordinate.kind, record.denominator.kind in _FORCES

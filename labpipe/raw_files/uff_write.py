@@ -194,7 +194,6 @@ def _function(
 
 
 def _is_even_as_printed(abscissa: FloatArray) -> bool:
-    """Whether the first value and the step, as pyuff prints them, give all others."""
     first, step = (float(f"{value:.5e}") for value in (abscissa[0], abscissa[1] - abscissa[0]))
     return bool(
         np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa)) <= _EVEN * np.max(np.abs(abscissa))
@@ -202,9 +201,7 @@ def _is_even_as_printed(abscissa: FloatArray) -> bool:
 
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:
-    """The units and all *sets* in a new file. pyuff reads a file again after each set that it adds to it, so
-    each is written alone; it leaves files open, too.
-    """
+    """The units and all *sets* in a new file, each written alone: pyuff reads all again after every set."""
     # Needed for this alone.
     import pyuff
 
