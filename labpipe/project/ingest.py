@@ -221,6 +221,7 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
     columns = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in columns]
     checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
+    checks += [partial(check_time, table, rig.time), partial(_check_rate, table, rig)]
     if rig.time is None:
         checks.append(partial(stated_rate, table, rig))
     faults: list[DataError] = []

@@ -103,15 +103,16 @@ def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
 def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Rig | None:
     """The rig of *path* in which a recording's own ``channels:`` entries take the place of the rig file's."""
     tree = load_marked(path)
-    channels = tree.content.get("channels") if isinstance(tree.content, dict) else None
-    written = channels.content if channels is not None and isinstance(channels.content, dict) else {}
+    top = tree.content if isinstance(tree.content, dict) else {}
+    parts = [top[part].content for part in ("channels", "derived") if part in top]
+    written = {name: part for part in parts if isinstance(part, dict) for name in part}
     for name, node in faults.mapping(entry, key).items():
         own = faults.mapping(node, join(key, name))
         if name not in written:
             hint = nearest(name, written)
             faults.add(node, join(key, name), "the rig has no such channel", hint)
-        elif isinstance(written[name].content, dict):
-            written[name] = replace(written[name], content={**written[name].content, **own})
+        elif isinstance((there := written[name][name]).content, dict):
+            written[name][name] = replace(there, content={**there.content, **own})
     return read_rig(tree, faults)
 
 

@@ -396,6 +396,14 @@ def test_a_calibrated_recording_keeps_its_channels(folder: Path) -> None:
         assert faults(folder, text) == [f"p.yaml:2:{place}: recordings.{word}: {what}; {hint}"]
 
 
+def test_a_listed_sum_is_a_channel_that_a_recording_may_move(folder: Path) -> None:
+    derived = "derived:\n  d: {sum: {x: 2}, quantity: displacement, dof: y}\n"
+    (folder / "rig.yaml").write_text(RIG.format(name="R", mass="2 kg") + derived)
+    text = f"rig: rig.yaml\nrecordings: {{file: runs/a.csv, channels: {{d: {{dof: z}}}}}}\n{FRF}"
+    (source,) = load(folder, text).tests[0].recordings
+    assert source.rig.derived[0].dof == "z"
+
+
 def test_files_of_a_channel_lie_beside_what_names_them(folder: Path) -> None:
     """A table that the pipeline names lies beside the pipeline, one that the rig file names beside that."""
     for place, gain in (("probe.csv", 2), ("runs/probe.csv", 3)):
