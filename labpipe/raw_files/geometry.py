@@ -37,7 +37,7 @@ def read_geometry_uff(path: Path) -> Geometry:
     for number, lines in _datasets(path):
         try:
             if number in (NODES, DOUBLE_NODES):
-                nodes |= _nodes(lines)
+                _add_nodes(nodes, lines, path)
             elif number == TRACE:
                 pairs += _trace(lines)
             elif number == ELEMENTS:
@@ -76,14 +76,14 @@ def _real(word: str) -> float:
     return float(word.upper().replace("D", "E"))
 
 
-def _nodes(lines: list[str]) -> dict[int, list[float]]:
+def _add_nodes(nodes: dict[int, list[float]], lines: list[str], path: Path) -> None:
     words = " ".join(lines).split()
     if len(words) % _NODE_WORDS:
         raise ValueError
-    return {
-        int(words[n]): [_real(word) for word in words[n + 4 : n + 7]]
-        for n in range(0, len(words), _NODE_WORDS)
-    }
+    for n in range(0, len(words), _NODE_WORDS):
+        label, position = int(words[n]), list(map(_real, words[n + 4 : n + 7]))
+        if nodes.setdefault(label, position) != position:
+            raise DataError(f"node {label} lies at two places", path, "leave one of them out")
 
 
 def _trace(lines: list[str]) -> list[tuple[int, int]]:
