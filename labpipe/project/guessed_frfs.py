@@ -38,12 +38,11 @@ _WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
 @dataclass(frozen=True)
 class GuessedFrf:
     """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
-    (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes.
-
-    word: what the entry calls the columns, '' for records that need none. elements: the columns of each
-    element of a matrix by its name. form: where a name says it. doubts: what is a guess. label: what records
-    say of their numbers that is no unit of an FRF. conjugate: *values* are conjugates of the file's numbers.
-    reference: the force, where the file names it; elements then have the names of their responses.
+    (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes. word:
+    what the entry calls the columns, '' for records. elements: the columns of each element of a matrix. form:
+    where a name says it. doubts: what is a guess. label: of records, where it is no unit of an FRF.
+    conjugate: *values* are conjugates of the file's. reference: the force, where named; elements are then
+    named by their responses.
     """
 
     columns: dict[str, str]

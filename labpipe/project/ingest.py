@@ -116,14 +116,16 @@ def _check_rate(table: Table, rig: Rig) -> None:
     """DataError where times in a unit say another rate than the rig file; few digits may change their median
     step, gaps their mean one, and neither both.
     """
-    for name in named_times(table) if rig.sample_rate else ():
+    stated = rig.sample_rate or 0.0
+    for name in named_times(table) if stated else ():
         if table.columns.count(name) > 1 or name not in table.units:
             continue
-        times = next(iter(table.chunks([name])))[:, 0] * time_scale(name, table.units)
+        first = next(iter(table.chunks([name])), np.zeros((1, 1)))
+        times = first[:, 0] * time_scale(name, table.units)
         steps = np.diff(times) if times.size > 1 else np.zeros(1)
         both = np.array([steps.mean(), np.median(steps)])
-        if np.all(both > 0) and np.all(np.abs(both * (rig.sample_rate or 0.0) - 1) > ANOTHER_RATE):
-            by_rig = f"at {rig.sample_rate:g} Hz by the rig file"
+        if np.all(both > 0) and np.all(np.abs(both * stated - 1) > ANOTHER_RATE):
+            by_rig = f"at {stated:g} Hz by the rig file"
             what = f"is sampled at {1 / both[0]:g} Hz by its column '{name}', {by_rig}"
             raise DataError(what, table.path, f"time: '{name}' in place of sample_rate, or correct it")
 

@@ -75,9 +75,7 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> d
 
 
 def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
-    """The expanded uncertainty, half the 95 % interval where noise alone is known. Relative to the value
-    where the rule is in per cent.
-    """
+    """The expanded uncertainty against a rule, relative to the value where that is in per cent."""
     half = deciding.expanded_of(parameter)
     if parameter.ci95 is None or half is None:
         return None, False, "", None

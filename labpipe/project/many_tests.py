@@ -47,9 +47,7 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
 
 
 def advice(pipeline: Pipeline, independent: Sequence[str]) -> str:
-    """That a dataset would hold the results of so many tests in less memory. Empty where there are few, or it
-    cannot.
-    """
+    """That a dataset would hold so many tests in less memory; empty where there are few, or it cannot."""
     if pipeline.results == "dataset" or len(pipeline.tests) < MANY_TESTS or hindrance(pipeline, independent):
         return ""
     return (

@@ -289,8 +289,8 @@ class ReportSettings(Settings):
 @dataclass(frozen=True)
 class Pipeline:
     """A pipeline file with everything it names; *sections*: settings by the key of their section, in the
-    order in which they are run. The settings of a section with named entries are a tuple, of others one
-    dataclass. *results*: how those of many tests are kept.
+    order in which they are run, a tuple for named entries, else one dataclass. *results*: how those of many
+    tests are kept.
     """
 
     path: Path

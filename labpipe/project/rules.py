@@ -43,10 +43,10 @@ DECISION_KEYS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """How is decided on limits. *low*, *high*: as they are written, empty where that side is open; *rule*:
-    one of DECISIONS; *risk* [1]; *guard*: the guard band of each limit over the expanded uncertainty [1],
-    None where it follows from the risk; *process*: mean and standard deviation of what is made as they are
-    written, empty where not stated; *outcomes*: those with which the rule holds.
+    """How is decided on limits. *low*, *high*: as written, empty where that side is open; *rule*: one of
+    DECISIONS; *risk* [1]; *guard*: the guard band of each limit over the expanded uncertainty [1], None where
+    it follows from the risk; *process*: mean and standard deviation of what is made, as written; *outcomes*:
+    those with which the rule holds.
     """
 
     low: str = ""

@@ -214,15 +214,9 @@ def _by_itself(path: Path) -> Recording:
     if table.sample_rate is None and not time:
         raise DataError("states no sampling rate and has no time column", path, "read it with rig='rig.yaml'")
     guessed = guess_channels([name for name in names if name not in time], table.units)
-    undecided = [
-        channel.column
-        for channel in guessed
-        if DECIDE in (channel.quantity, channel.unit, channel.sensitivity)
-    ]
+    undecided = [repr(c.column) for c in guessed if DECIDE in (c.quantity, c.unit, c.sensitivity)]
     if undecided:
-        what = (
-            f"does not say quantity, unit or sensitivity of {', '.join(repr(column) for column in undecided)}"
-        )
+        what = f"does not say quantity, unit or sensitivity of {', '.join(undecided)}"
         raise DataError(what, path, "read it with rig='rig.yaml'; labpipe init proposes one")
     return _calibrate(path, Rig("", tuple(map(_as_stated, guessed)), time=next(iter(time), None)))
 

@@ -171,8 +171,8 @@ def _digest(name: str, folders: Sequence[Path]) -> str | None:
 
 
 def pipeline_folder(path: Path) -> Path | None:
-    """The folder of the pipeline that made a result, where a file of its name stands in a folder above or
-    beside it; None elsewhere.
+    """The folder of the pipeline that made a result, where a file of its name stands in one above or beside
+    it.
     """
     try:
         name = read_identification(path / NAME if path.is_dir() else path).pipeline

@@ -16,7 +16,7 @@ import numpy as np
 
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_value
-from labpipe.raw_files.uff import UFF_SUFFIXES
+from labpipe.raw_files.uff import UFF_SUFFIXES, real
 from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
 
@@ -43,7 +43,7 @@ def read_geometry_uff(path: Path) -> Geometry:
             elif number == ELEMENTS:
                 pairs += _elements(lines)
             elif number == UNITS:
-                length = _real(lines[1].split()[0])
+                length = real(lines[1].split()[0])
         except (ValueError, IndexError):
             raise DataError(
                 f"the record {number} cannot be read", path, "numbers are missing, or are none"
@@ -72,16 +72,12 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield int(kind), lines[1:]
 
 
-def _real(word: str) -> float:
-    return float(word.upper().replace("D", "E"))
-
-
 def _add_nodes(nodes: dict[int, list[float]], lines: list[str], path: Path) -> None:
     words = " ".join(lines).split()
     if len(words) % _NODE_WORDS:
         raise ValueError
     for n in range(0, len(words), _NODE_WORDS):
-        label, position = int(words[n]), list(map(_real, words[n + 4 : n + 7]))
+        label, position = int(words[n]), list(map(real, words[n + 4 : n + 7]))
         if nodes.setdefault(label, position) != position:
             raise DataError(f"node {label} lies at two places", path, "leave one of them out")
 

@@ -203,8 +203,8 @@ def load_variables(path: Path) -> dict[str, Any]:
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """(name, array) of a variable and of the fields of a structure ("run.x"), or of each structure of an
-    array or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as MATLAB writes it).
+    """(name, array) of a variable, of the fields of a structure ("run.x"), or of each structure of an array
+    or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as in MATLAB).
     """
     names = getattr(getattr(value, "dtype", None), "names", None)
     if (

@@ -23,9 +23,8 @@ AT_LIMIT = 1e-9
 
 
 class EndValues:
-    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all
-    where they crowd there. *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are
-    kept: a higher value starts afresh.
+    """Samples at the extreme of a channel, over block borders: in runs of at least CLIPPED_RUN, or all where
+    they crowd there. *sign* +1 follows the maximum, -1 the minimum; a higher value starts afresh.
     """
 
     def __init__(self, sign: float) -> None:

@@ -223,7 +223,7 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
     try:
         point, form = _columns(header[5], _POINT), _columns(header[6], _FORM)
         function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
-        even, start, step = _integer(form[2]) == 1, _real(form[3]), _real(form[4])
+        even, start, step = _integer(form[2]) == 1, real(form[3]), real(form[4])
         ends = _point(point[4:7]), _point(point[7:10])
         abscissa, ordinate, per = (_axis(_columns(line, _AXIS)) for line in header[7:10])
         layout = _layout(lines, kind, ordinate_type, n_value, even)
@@ -260,7 +260,7 @@ def _integer(field: str) -> int:
     return int(field or 0)
 
 
-def _real(field: str) -> float:
+def real(field: str) -> float:
     """A number as Fortran writes it, with D as its exponent; 0 for none."""
     return float(field.upper().replace("D", "E") or 0)
 
@@ -438,4 +438,4 @@ def _next_fields(lines: Sequence[str], at: int, count: int) -> tuple[list[float]
     row = [line[n : n + 13] for line in lines[at:stop] for n in range(0, len(line.rstrip()), 13)]
     if len(row) != count:
         raise ValueError
-    return list(map(_real, row)), stop
+    return list(map(real, row)), stop
