@@ -42,8 +42,8 @@ from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA, FrfSettings
 
 ALIKE = "look for channels that are silent or alike"
 
-# The path of the reference to how files are described, which is no file.
-DESCRIPTION = "(entry under frfs)"
+# The paths of references to how files are described, and at what they were measured, which are no files.
+DESCRIPTION, CONDITIONS = "(entry under frfs)", "(conditions)"
 # The parameter of what was measured from raw files: their rigs. Its inputs then are the raw files, with paths
 # from the pipeline.
 RIGS = "rigs"

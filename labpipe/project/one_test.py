@@ -31,6 +31,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.project.ingest import ingest, is_recording, raw_recording, recording_refs
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
+    CONDITIONS,
     RIGS,
     MeasuredTest,
     fits_file_name,
@@ -397,6 +398,10 @@ def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
 def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
     inputs = measured_refs(job, output)
+    if job.test.frfs and job.test.conditions:
+        # A response that is measured here holds them itself.
+        digest = hashlib.sha256(repr(job.test.conditions).encode()).hexdigest()
+        inputs.append(SourceRef(CONDITIONS, digest))
     path = output.read_path(job.fits_name)
     # With what the test says of several recordings, where it does.
     settings_of_test = tuple(with_repeats_of(settings, job.test.repeats) for settings in job.fits)

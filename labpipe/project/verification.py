@@ -23,7 +23,7 @@ from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import is_remote, without_staging
 from labpipe.errors import DataError
-from labpipe.project.measured import RIGS
+from labpipe.project.measured import CONDITIONS, DESCRIPTION, RIGS
 from labpipe.registry import Registry
 
 Reference = tuple[str, str]
@@ -149,6 +149,8 @@ def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
         *((source, [base] if base else []) for source in sources),
         *((file, [path.parent, path.parent / "recordings", path.parent.parent]) for file in inputs),
     ]:
+        if name in (DESCRIPTION, CONDITIONS):
+            continue
         actual = _digest(name, folders)
         if actual is None:
             remarks.append(f"'{name}' is not there to be compared")
