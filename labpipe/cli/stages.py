@@ -185,11 +185,14 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
             hint = "run `labpipe frf` first, or `labpipe run` for all stages"
             raise DataError("no such file", measured_path, hint)
         if test.recordings:
-            made = header_of(measured_path).parameters.get("frf", {})
+            made = header_of(measured_path).parameters
             now = json.loads(json.dumps(asdict(settings))) if settings else {}
-            if other := [key for key, value in now.items() if made.get(key, value) != value]:
-                what = f"was made with another {', '.join(other)} of `frf:` than the pipeline has"
-                raise DataError(what, measured_path, "run `labpipe frf` again")
+            for part, entries in (("frf", now), ("conditions", test.conditions)):
+                # A key of `frf:` that is not there has its default.
+                then = made.get(part, {}) if part == "conditions" else {**entries, **made.get(part, {})}
+                if other := [key for key, value in entries.items() if then.get(key) != value]:
+                    what = f"was made with another {', '.join(other)} of `{part}:` than the pipeline has"
+                    raise DataError(what, measured_path, "run `labpipe frf` again")
             tests.append(load_measured(measured_path))
             references.append(source_ref(measured_path, measured_path.parent))
     return tests, references
