@@ -8,6 +8,7 @@ import dataclasses
 import datetime
 import errno
 import hashlib
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -365,6 +366,18 @@ def _seen_in_files(job: Job) -> list[Finding]:
     return []
 
 
+def check_made_as_stated(path: Path, test: Test, frf: FrfSettings | None) -> None:
+    """DataError where what was measured of a test has other settings or conditions than it has now."""
+    made = header_of(path).parameters
+    now = json.loads(json.dumps(dataclasses.asdict(frf))) if frf else {}
+    # A key of `frf:` that is not there has its default.
+    then = {"frf": {**now, **made.get("frf", {})}, "conditions": made.get("conditions", {})}
+    for part, entries in (("frf", now), ("conditions", test.conditions)):
+        if other := [key for key, value in entries.items() if then[part].get(key) != value]:
+            what = f"was made with another {', '.join(other)} of `{part}:` than the pipeline has"
+            raise DataError(what, path, "run `labpipe frf` again")
+
+
 def sources_before(job: Job) -> tuple[SourceRef, ...]:
     """The references of the raw files behind a response that is there, by the calibrated recordings beside
     it, or else its own.
@@ -372,6 +385,8 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
     path = job.target / job.measured_name
     if job.test.recordings and not path.exists():
         raise DataError("no such file", path, "run `labpipe frf` first, or `labpipe run` for all stages")
+    if job.test.recordings:
+        check_made_as_stated(path, job.test, job.frf)
     recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
     if job.test.recordings and RIGS in (header := header_of(path)).parameters:
         recorded = list(header.inputs)
