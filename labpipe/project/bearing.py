@@ -217,15 +217,13 @@ def _uncertainty_entry(
 
 
 def bearing_json(entry: dict[str, Any]) -> str:
-    """The entry as text; null where an amount has no end, as the sensitivity of a loop without stiffness at
-    rest.
-    """
+    """The entry as text; null where an amount has no end."""
     return json.dumps(without_nan(entry), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
-    """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF
-    table; the files' names.
+    """bearing.json, figures of the stiffness and of a film's pressure, a shaft's transfer matrix; the files'
+    names.
     """
     from labpipe.document.charts import svg_file
 

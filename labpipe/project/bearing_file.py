@@ -85,8 +85,8 @@ def setting_at(owner: type, key: str) -> Setting:
 def taken_uncertainties(
     node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults
 ) -> dict[str, Uncertain]:
-    """The numbers of a mapping that carry an uncertainty, by their keys. In the tree their values stand alone
-    after that.
+    """The numbers of a mapping that carry an uncertainty, by their keys; in the tree their values stand alone
+    then.
     """
     uncertainties: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):

@@ -98,7 +98,6 @@ def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
 
 
 def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
     _, uncertainty = uncertain.split_uncertainty(written.dof)
     if uncertainty:
         number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")

@@ -99,9 +99,6 @@ def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
 
 
 def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
-    """K and C of a bearing file at the conditions of a point, in the rig's x and y. ConfigError for unknown
-    dofs.
-    """
     theories: dict[tuple[float, ...], Mapping[str, float]] = {}
 
     def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:

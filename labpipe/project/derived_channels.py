@@ -155,7 +155,6 @@ def _term_of(member: str, sign: float, factors: list[Factor]) -> Term:
 
 
 def _parts(text: str) -> list[tuple[float, str]]:
-    """(sign, term) of a sum; UnitError where a term is missing."""
     text = text.strip()
     if not text:
         raise UnitError("a sum of channels is missing", "for example f_x - m_s * a_x")

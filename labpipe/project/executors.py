@@ -203,9 +203,7 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
 
 
 def _describe(path: Path) -> Any:
-    """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, and `adapt:` or `scale:`
-    for the number of workers.
-    """
+    """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, `adapt:` or `scale:`."""
     entries = load_marked(path).plain()
     class_path = entries.get("class") if isinstance(entries, dict) else None
     if not isinstance(class_path, str) or "." not in class_path:

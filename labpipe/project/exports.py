@@ -42,8 +42,8 @@ WRITERS = Registry("writer")
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name
-    [unit]", results as parameters.
+    """An FRF as labpipe reads it again; recordings, decays, spectra as columns "name [unit]"; results as
+    parameters.
     """
     table = _table(artefact)
     if table is None:
@@ -123,9 +123,7 @@ def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[F
 
 
 def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
-    """One row per fit, mode and point: the complex shape with its standard error, and the place of the point
-    where it is known.
-    """
+    """One row per fit, mode and point: complex shape, standard error, and the place of the point if known."""
     rows = []
     for fit in fits:
         modes = fit.detail(Modes)
@@ -156,8 +154,8 @@ def recording_table(artefact: Path) -> pd.DataFrame:
 
 
 def decay_table(artefact: Path) -> pd.DataFrame:
-    """One row per sample: the number of the decay from 1, its recording, time in it in seconds, and the
-    responses in SI units.
+    """One row per sample: number of the decay from 1, recording, time in it in seconds, responses in SI
+    units.
     """
     decays = measured_files.read_decays(artefact)
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
@@ -286,9 +284,7 @@ def write_study_csv(path: Path, study: Study) -> None:
 
 
 def write_band_csv(artefact: Path, target: Path) -> None:
-    """One row per fit, line, output and input: nominal plant, radius of the band around it, weight and its
-    overbound.
-    """
+    """One row per fit, line, output and input: nominal plant, radius of its band, weight and overbound."""
     tables = []
     for fit in robust_fits(artefact):
         plant = fit.detail(RobustPlant)

@@ -326,8 +326,8 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
 
 class RawRecording:
-    """The channels of a raw file [SI]. Satisfies SampleSource. *findings* and digest are those of the first
-    whole reading.
+    """The channels of a raw file [SI]. Satisfies SampleSource. *findings* and digest are of the first whole
+    reading.
     """
 
     def __init__(self, table: QuickTable, rig: Rig, base: Path) -> None:

@@ -53,8 +53,8 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
 def write_card(
     content: Overview | FrequencyResponse | ChannelSpectra | FileShapes, file: str, path: Path
 ) -> None:
-    """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md).
-    DataError for shapes, which have none.
+    """The card of a file as a document, by the ending of *path* (.html, .pdf, .md). DataError for shapes,
+    which have none.
     """
     if isinstance(content, FileShapes):
         raise DataError("holds mode shapes alone, which have no card", file, "leave -o out")

@@ -105,9 +105,7 @@ def outcome_of(done: Done, test: Test) -> TestResult:
 
 
 def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
-    """The result of all tests: identification.json, which sums the dataset up. Parts of an earlier run that
-    are no longer of it go.
-    """
+    """The result of all tests, which sums the dataset up; other parts in the folder go."""
     failed = gathered.summary.failed
     if failed and not gathered.summary.index.tests:
         raise DataError(

@@ -102,8 +102,8 @@ def result_of_test(
     sources: Sequence[SourceRef],
     digest: str,
 ) -> TestResult:
-    """The result of a test from its *fits* and the *findings* of its measurement. *sources* are its files,
-    *digest* that of its fits.
+    """The result of a test from its *fits* and the *findings* of its measurement; *sources*: its files,
+    *digest*: of its fits.
     """
     partial = tuple(judged_part(rule, fits) for rule in rules)
     outcomes = forbidden(rules, fits)
@@ -379,8 +379,8 @@ def check_made_as_stated(path: Path, test: Test, frf: FrfSettings | None) -> Non
 
 
 def sources_before(job: Job) -> tuple[SourceRef, ...]:
-    """The references of the raw files behind a response that is there, by the calibrated recordings beside
-    it, or else its own.
+    """The references of the raw files behind a response that is there, by its calibrated recordings, or else
+    its own.
     """
     path = job.target / job.measured_name
     if job.test.recordings and not path.exists():

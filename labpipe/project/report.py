@@ -27,7 +27,7 @@ _STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{
 
 def drawn_from(result: Path, code: str = "") -> str:
     """What the report of a result file depends on, as a digest: its content and the code that draws, by
-    default that of this build. Empty where it carries no digest.
+    default of this build; empty where it carries none.
     """
     with result.open("rb") as stream:
         match = _RESULT.search(stream.read(4096))
@@ -88,8 +88,8 @@ def write_report(
     figures: Path | None = None,
     results: Path | None = None,
 ) -> None:
-    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder
-    for them as files. *results*: the folder that the result was read from, by default that of the report.
+    """Write the report of an identification; the format follows from the ending. *figures*: a folder for them
+    as files. *results*: the folder of the result, by default that of the report.
     """
     name, folder = report_format or format_of(path), results or path.parent
     files = {} if figures is None else _figures_of(identification, folder)
@@ -195,7 +195,6 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
 
 
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
-    """Report and figures, all or none."""
     if figures is not None and figures.exists() and not figures.is_dir():
         raise DataError("is a file, a folder is needed", figures)
     with ExitStack() as outputs:

@@ -117,8 +117,8 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
 
 
 def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
-    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of
-    that role. ConfigError for a name that is no channel of the rig.
+    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only one of that
+    role. ConfigError for a name that is no channel.
     """
     places: dict[str, str] = {}
     names = [channel.name for channel in rig.all_channels]

@@ -75,12 +75,10 @@ class Decision:
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance),
-    '=' (a word or flag), or 'limits' with a *decision*; or the rules *together* must, by one decision.
-
-    *which* selects among fits of one name: a test's name or the centre of a sliding band ("72.5 Hz"). *bound*
-    is the text behind the comparison, read in the unit of what it is compared with; *place* is where the rule
-    stands.
+    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance), '='
+    (a word or flag), or 'limits' with a *decision*; or the rules *together* must. *which*: a test's name or
+    the centre of a sliding band ("72.5 Hz"). *bound*: the text behind the comparison, in the unit of what it
+    is compared with; *place*: where the rule stands.
     """
 
     section: str
@@ -321,7 +319,6 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]
 
 
 def _spelling(code: str) -> str:
-    """The hint for a misspelt warning; empty for what is none of labpipe's, which may be a plug-in's."""
     hint = "" if code in _warnings() else nearest(code, _warnings())
     return hint if hint.startswith("did you mean") else ""
 

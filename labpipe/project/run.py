@@ -159,7 +159,6 @@ def _jobs(
     fits: Sequence[str],
     rules: tuple[Rule, ...] | None = None,
 ) -> list[one_test.Job]:
-    """One job for each test; ConfigError when two would write the same file, or a fit names no test."""
     file_stems([test.name for test in pipeline.tests], "tests", pipeline.path)
     test_names = [
         name

@@ -39,8 +39,8 @@ PATIENCE = 20.0
 @dataclass(frozen=True, kw_only=True)
 class Run:
     """A line of the record. *result*: the identification.json, relative to the record, and its *digest*;
-    *inputs*: paths and digests of what it was made from; *results*: of the first line, the digests of results
-    that were there already; *previous*: digest of the line before.
+    *inputs*: paths and digests of what it was made from; *results*: of the first line, digests of results
+    that were there; *previous*: digest of the line before.
     """
 
     number: int
@@ -196,7 +196,7 @@ def faults_of_record(path: Path) -> list[str]:
 
 
 def head(path: Path) -> str:
-    """The digest of the last line: noted elsewhere, it proves that no line at the end was removed since."""
+    """The digest of the last line: noted elsewhere, it proves that none was removed since."""
     return _read(path)[1]
 
 

@@ -182,8 +182,7 @@ DECIDE = "DECIDE"
 
 def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **presets: Any) -> Owner | None:
     """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot
-    be read. *presets* are further fields that the file does not hold (a name, say), or defaults that take the
-    place of missing entries.
+    be read. *presets*: fields that the file does not hold (a name, say), or defaults of missing entries.
     """
     before = len(faults)
     settings = settings_of(owner)
@@ -254,7 +253,7 @@ def _instance(
 
 def in_one_line(node: Marked, kind: str = "value") -> Marked:
     """A number of a *kind* of setting in its long form {value, std | limits | expanded, shape, k, dof,
-    source} as the text that stands for it.
+    source} as its text.
     """
     if kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
@@ -408,8 +407,8 @@ def listed(node: Marked) -> list[Marked]:
 
 def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
     """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up;
-    None where it differs. '{}' stands for a part that is no condition; one that stands twice is the same in
-    both places.
+    None where it differs. '{}' is a part that is no condition; one that stands twice is the same in both
+    places.
     """
     expression, wanted = "", list[str]()
     for number, part in enumerate(re.split(r"\{(\w*)\}", pattern)):

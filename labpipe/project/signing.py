@@ -241,8 +241,8 @@ def signed_files(path: Path) -> list[Path]:
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
-    """Every signature in a signed PDF or a detached signature; none in an unsigned PDF. DataError where the
-    file cannot be read; ConfigError for a certificate of *trust* that cannot.
+    """Every signature in a signed PDF or a detached one. DataError where the file cannot be read; ConfigError
+    for a certificate of *trust* that cannot.
     """
     for library in ("pyhanko", "pyhanko_certvalidator"):
         # What it says of a certificate that nobody vouches for is a fault here, and no trace of an error.

@@ -43,8 +43,8 @@ class ReadyFrf:
 
 
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The responses of the entry *key*: a file, a description, or a list of them. Faults for those that
-    cannot be read.
+    """The responses of the entry *key*: a file, a description, or a list; faults for those that cannot be
+    read.
     """
     frfs: list[ReadyFrf] = []
     for entry in settings_reader.listed(node):

@@ -102,7 +102,6 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
 
 
 def _last(name: str) -> str:
-    """The name without the groups and structures that it is in."""
     return re.split("[./]", name)[-1]
 
 

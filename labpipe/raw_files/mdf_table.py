@@ -129,7 +129,6 @@ class MdfTable:
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
-        """The file; DataError for a damaged one, at opening and at reading."""
         # The library finishes a copy of a file that is being written, and forgets it where that fails.
         with TemporaryDirectory(prefix="labpipe-mdf-") as folder:
             file, reason = self._open_file(folder)
