@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from labpipe.artefacts.header import SourceRef, source_ref
-from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.many import Progress, echo_failed, manner, silent
@@ -27,6 +25,7 @@ from labpipe.project.measured import (
     measured_file_name,
     ready_refs,
 )
+from labpipe.project.one_test import check_made_as_stated
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import load_rig
@@ -185,11 +184,7 @@ def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[Measure
             hint = "run `labpipe frf` first, or `labpipe run` for all stages"
             raise DataError("no such file", measured_path, hint)
         if test.recordings:
-            made = header_of(measured_path).parameters.get("frf", {})
-            now = json.loads(json.dumps(asdict(settings))) if settings else {}
-            if other := [key for key, value in now.items() if made.get(key, value) != value]:
-                what = f"was made with another {', '.join(other)} of `frf:` than the pipeline has"
-                raise DataError(what, measured_path, "run `labpipe frf` again")
+            check_made_as_stated(measured_path, test, settings)
             tests.append(load_measured(measured_path))
             references.append(source_ref(measured_path, measured_path.parent))
     return tests, references

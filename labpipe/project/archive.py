@@ -1,8 +1,6 @@
-"""One file that holds a result with all it was made from: an RO-Crate in a ZIP.
-
-The same bytes for the same content, and reading that trusts no name and no size. Files are stored as they
-are, in the order of their names, at the first moment that ZIP knows: compression would make the bytes depend
-on the library that compresses. A recording that is compressed itself (.csv.gz) stays so.
+"""One file that holds a result with all it was made from: an RO-Crate in a ZIP; reading it trusts no name and
+no size. Files are stored as they are, in the order of their names, at the first moment that ZIP knows, so
+that the same content gives the same bytes: compression would depend on its library.
 """
 
 from __future__ import annotations
@@ -46,11 +44,9 @@ CERTIFICATE = "result.dcc.xml"
 
 
 def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: bool) -> Contents:
-    """What an archive of the results in a folder holds; *digests_only*: of recordings the digests, not the
-    recordings. The result as a certificate is written to the folder *scratch*.
-
-    DataError for results that do not hold, or that are not those of the pipeline; ConfigError for files that
-    an archive cannot hold.
+    """What an archive of a folder's results holds; *digests_only*: of recordings the digests alone.
+    *scratch*: a folder for the result as a certificate. DataError for results that do not hold or are not of
+    the pipeline; ConfigError for files that an archive cannot hold.
     """
     identification = read_identification(folder / IDENTIFICATION)
     _check_same(identification, pipeline, folder)
@@ -87,10 +83,7 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
 
 
 def _digest(member: Member) -> Member:
-    """The member with digest and size.
-
-    One that is not kept and lies elsewhere has the digest that the result names.
-    """
+    """The member with digest and size; one that lies elsewhere keeps the digest that the result names."""
     if is_remote(member.path):
         return member
     digest = source_ref(member.path, member.path.parent).sha256
@@ -98,7 +91,6 @@ def _digest(member: Member) -> Member:
 
 
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
-    """DataError where the result was made by another build, or by a pipeline that says something else."""
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
         raise DataError(
@@ -146,10 +138,8 @@ def _role_of_result(name: str) -> str:
 def _project(
     pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool
 ) -> tuple[str, list[Member]]:
-    """The pipeline's name in the archive, and it with all files that it names, in folders as they are.
-
-    digests: of raw files by their paths or URLs. dated: the result depends on the days on which recordings
-    were last changed.
+    """The pipeline's name in the archive, and it with all files that it names. digests: of raw files by their
+    paths or URLs. dated: the result depends on the days of the recordings.
     """
     raw = [path for test in pipeline.tests for path in files_of(test)]
     remote = next(filter(is_remote, raw), None)
@@ -181,9 +171,8 @@ def _absolute(path: Path) -> Path:
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first, and those that they name.
-
-    All other files that any of them names.
+    """The settings files that a settings file names, itself first; and all other files that any of them
+    names.
     """
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:
@@ -213,7 +202,6 @@ def _is_named(node: Marked, folder: Path) -> bool:
 
 
 def _texts(node: Marked) -> Iterator[Marked]:
-    """The texts in a tree."""
     content = list(node.content.values()) if isinstance(node.content, dict) else node.content
     if not isinstance(content, list):
         yield from [node] if node.text else []
@@ -221,9 +209,6 @@ def _texts(node: Marked) -> Iterator[Marked]:
     for part in content:
         yield from _texts(part)
 
-
-# The ZIP around an RO-Crate: the same bytes for the same content, and reading that trusts no name and no
-# size.
 
 ZIP, ELN = ".zip", ".eln"
 EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -251,9 +236,8 @@ def check_output(path: Path) -> None:
 
 
 def write_archive(contents: Contents, path: Path, date: str) -> None:
-    """Write the archive; DataError where a file changes meanwhile.
-
-    An .eln has one folder of its own name around all.
+    """Write the archive; DataError where a file changes meanwhile. An .eln has one folder of its own name
+    around all.
     """
     check_output(path)
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
@@ -312,9 +296,8 @@ class Opened:
         return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
-        """The content of a member; DamagedError where it cannot be read.
-
-        What goes wrong where it is written is no fault of the archive.
+        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written
+        is no fault of the archive.
         """
         try:
             with self.archive.open(info) as stream:
@@ -326,9 +309,8 @@ class Opened:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Opened]:
-    """An archive to be read.
-
-    DataError for what is no ZIP, for names that lead out of it, and without metadata.
+    """An archive to be read. DataError for what is no ZIP, for names that lead out of it, and without
+    metadata.
     """
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
@@ -355,7 +337,6 @@ def opened(path: Path) -> Iterator[Opened]:
 
 
 def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path: Path) -> None:
-    """DataError for an entry that must not be unpacked."""
     name = info.orig_filename
     parts = name.removesuffix("/").split("/")
     if "\0" in name or "\\" in name or ":" in parts[0] or any(part in ("", ".", "..") for part in parts):
@@ -372,10 +353,6 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
-    """The folder around all of an .eln, as a prefix; empty for a crate at the top.
-
-    DataError without metadata.
-    """
     if NAME in members:
         return ""
     tops = {PurePosixPath(name).parts[0] for name in members}
@@ -393,15 +370,10 @@ def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> by
         raise DataError(f"is damaged ({cut(str(error))})", f"{path}: {NAME}", "have it sent again") from None
 
 
-# An archive taken apart again: every file held against its digest, then the result where verification and
-# the pipeline find it.
-
-
 @dataclass(frozen=True)
 class Unpacked:
-    """The folders of an archive that was unpacked, and what does not hold of its files, by their names.
-
-    left_out: files of which the archive holds the digest only, without which the pipeline cannot be run.
+    """The folders of an archive, and what does not hold of its files, by their names. left_out: files of
+    which it holds the digest alone, without which the pipeline cannot be run.
     """
 
     pipeline: Path
@@ -429,7 +401,6 @@ def unpack(path: Path, folder: Path) -> Unpacked:
 
 
 def _date(file: Listed, folder: Path) -> None:
-    """Have a file the day on which it was last changed: the day of a test of a dataset that states none."""
     try:
         day = datetime.datetime.fromisoformat(file.day).replace(hour=12, tzinfo=datetime.UTC).timestamp()
     except ValueError:

@@ -43,7 +43,6 @@ def stiffness_figure(name: str, bearing: BearingCoefficients) -> Figure:
 
 
 def _coefficient_text(bearing: BearingCoefficients, row: int, column: int) -> str:
-    """A coefficient in the unit people read, which stands below it; 0 where it is zero by structure."""
     if abs(bearing.relative[row, column]) < STRUCTURAL_ZERO:
         return "0"
     unit = bearing.unit(row, column)
@@ -54,9 +53,7 @@ def sweep_figures(
     title: str, label: str, values: FloatArray, swept: Sequence[BearingCoefficients]
 ) -> dict[str, Figure]:
     """The figures "stiffness" and, where there is any, "damping": every coefficient over the swept entry, one
-    panel per unit.
-
-    *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
+    panel per unit. *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
     """
     figures = {"stiffness": _sweep_figure(title, label, values, swept, "stiffness")}
     if any(bearing.damping.any() for bearing in swept):
@@ -99,7 +96,6 @@ def _coefficients_by_unit(
 def _curve(
     values: FloatArray, swept: Sequence[BearingCoefficients], kind: str, entry: tuple[int, int], number: int
 ) -> Series:
-    """One coefficient over the sweep, with its range over a ball passage where the model gives one."""
     dofs, factor = swept[0].dofs, scale_of(swept[0].unit(*entry))
 
     def over_sweep(name: str) -> FloatArray:
@@ -198,7 +194,6 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
 def _uncertainty_entry(
     uncertainties: BearingUncertainties, coefficients: BearingCoefficients
 ) -> dict[str, Any]:
-    """Standard uncertainties by all sources, and the change by one standard uncertainty of each."""
     names = [amount.name for amount in coefficients.rest]
     changes = zip(
         uncertainties.sources, uncertainties.stiffness, uncertainties.damping, uncertainties.rest, strict=True
@@ -222,15 +217,13 @@ def _uncertainty_entry(
 
 
 def bearing_json(entry: dict[str, Any]) -> str:
-    """The entry as text; null where an amount has no end, as the sensitivity of a loop without stiffness at
-    rest.
-    """
+    """The entry as text; null where an amount has no end."""
     return json.dumps(without_nan(entry), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
-    """bearing.json, the heat map of the stiffness matrix, a film's pressure, a shaft's transfer matrix as FRF
-    table; the files' names.
+    """bearing.json, figures of the stiffness and of a film's pressure, a shaft's transfer matrix; the files'
+    names.
     """
     from labpipe.document.charts import svg_file
 
@@ -290,7 +283,6 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
 
 
 def _by_element(symbol: str, first: BearingCoefficients, matrices: FloatArray) -> dict[str, FloatArray]:
-    """Columns of the elements of matrices (n_point, n_dof, n_dof) by title."""
     kind = "damping" if symbol.endswith("c") else "stiffness"
     return {
         f"{symbol}_{row}_{column} [{first.unit(i, j, kind)}]": matrices[:, i, j]

@@ -40,7 +40,6 @@ class BearingFile:
         return settings
 
     def settings_at(self, entries: Sequence[str], conditions: Sequence[tuple[float, str]]) -> Any:
-        """The settings with *entries* set to (value, unit), one each."""
         for entry, (value, unit) in zip(entries, conditions, strict=True):
             set_entry(self.tree, f"{entry}={value!r} {unit}")
         return self.settings()
@@ -86,9 +85,8 @@ def setting_at(owner: type, key: str) -> Setting:
 def taken_uncertainties(
     node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults
 ) -> dict[str, Uncertain]:
-    """The numbers of a mapping that carry an uncertainty, by their keys.
-
-    In the tree their values stand alone after that.
+    """The numbers of a mapping that carry an uncertainty, by their keys; in the tree their values stand alone
+    then.
     """
     uncertainties: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):
@@ -100,7 +98,7 @@ def taken_uncertainties(
         if declared.section is not None:
             uncertainties |= taken_uncertainties(entry, kind, join(key, name), declared.section, faults)
             continue
-        entry = in_one_line(entry, declared)
+        entry = in_one_line(entry, declared.kind)
         if declared.kind != "value" or not is_uncertain(entry.text):
             continue
         value, uncertainty = split_uncertainty(entry.text)
@@ -115,9 +113,8 @@ def taken_uncertainties(
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
-    """The kind that the entry `kind` of a bearing names.
-
-    None and a fault where there is none of that name.
+    """The kind that the entry `kind` of a bearing names. None and a fault where there is none of that
+    name.
     """
     entries = faults.mapping(tree, key)
     if "kind" not in entries:
@@ -155,10 +152,8 @@ class Sweep:
 
 def parse_sweep(text: str, owner: type) -> Sweep:
     """The sweep of an entry of the settings dataclass *owner*; numbers without a unit have the last one's, or
-    the entry's SI unit.
-
-    Raises ConfigError for an entry that is unknown or has no unit, unreadable numbers, and a step that does
-    not lead from start to stop.
+    the SI unit. ConfigError for an entry that cannot be swept, unreadable numbers, and a step that does not
+    lead from start to stop.
     """
     where = f"--sweep {text}"
     key, equals, span = (part.strip() for part in text.partition("="))
@@ -173,6 +168,8 @@ def parse_sweep(text: str, owner: type) -> Sweep:
     texts = [f"{part} {unit_of_last}" if is_number(part) else part for part in parts]
     try:
         start, stop, step = (parse_value(text, unit) for text in texts)
+        # A step is a difference: 10 degC are 10 K.
+        step -= parse_value(f"0 {unit_of_last}", unit)
     except UnitError as error:
         raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
     return Sweep(key, unit, _values(start, stop, step, where))
@@ -189,7 +186,6 @@ def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
 
 
 def _swept_keys(owner: type, above: str = "") -> list[tuple[str, Setting]]:
-    """(dotted key, setting) of every entry that is a value with a unit."""
     keys: list[tuple[str, Setting]] = []
     for name, (setting, _) in settings_of(owner).items():
         if setting.kind == "value":

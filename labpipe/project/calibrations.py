@@ -7,8 +7,8 @@ from __future__ import annotations
 import csv
 import datetime
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -56,14 +56,8 @@ def channel_uncertainties(
     written: Written, key: str, faults: Faults
 ) -> tuple[uncertain.ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
-    readers: dict[str, Callable[[Written], Iterator[uncertain.ChannelUncertainty]]] = {
-        "sensitivity": _of_sensitivity,
-        "delay": _of_delay,
-        "dof": _of_direction,
-        "uncertainty": _of_chain,
-    }
     uncertainties: list[uncertain.ChannelUncertainty] = []
-    for entry, read in readers.items():
+    for entry, read in READERS.items():
         try:
             uncertainties.extend(read(written))
         except UnitError as error:
@@ -75,10 +69,10 @@ def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     yield from written.certified
     text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
     if "#" in text:
-        slope = calibrated_slope(text, written.node.folder)
-        if slope.std_error:
-            number = uncertain.Uncertain(1.0, abs(slope.std_error / slope.value), dof=slope.dof)
-            yield _of_channel(written, "gain", number, f"sensitivity {text}")
+        slope = calibrated_slope(text, written.node.folder_of("sensitivity"))
+        # All channels with this slope have its error.
+        source, size = f"sensitivity {text}", abs(slope.std_error / slope.value)
+        yield uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, size, "1", slope.dof))
     if uncertainty:
         yield _of_channel(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
 
@@ -93,46 +87,37 @@ def _of_channel(
 
 
 def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
-    """An uncertainty relative to its number: "8 V/mm", "1 %" or "0.08 V/mm"."""
     value, _, unit = text.strip().partition(" ")
     number = uncertain.parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
-    return uncertain.Uncertain(
-        1.0, number.std_error / abs(number.value), dof=number.dof, shape=number.shape, source=number.source
-    )
+    return replace(number, value=1.0, std_error=number.std_error / abs(number.value))
 
 
 def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    for name, number in written.uncertainties:
-        if name == "delay":
-            yield _of_channel(written, "delay", number, "delay")
+    if (number := dict(written.uncertainties).get("delay")) is not None:
+        yield _of_channel(written, "delay", number, "delay")
 
 
 def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    """Uncertainty of an angle: "45 deg +- 0.5 deg", "x +- 0.5 deg"."""
     _, uncertainty = uncertain.split_uncertainty(written.dof)
     if uncertainty:
-        yield _of_channel(
-            written, "direction", uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad"), "dof"
-        )
+        number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")
+        yield _of_channel(written, "direction", number, "dof")
 
 
 def _of_chain(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    if written.chain is None:
-        return
-    if written.chain.gain:
-        yield _of_channel(
-            written, "gain", uncertain.parse_uncertain(f"1 +- {written.chain.gain}", "1"), "gain"
-        )
-    if written.chain.phase:
-        number = uncertain.parse_uncertain(f"0 rad +- {written.chain.phase}", "rad")
-        yield _of_channel(written, "phase", number, "phase")
+    for effect, number, unit in (("gain", "1", "1"), ("phase", "0 rad", "rad")):
+        if size := getattr(written.chain, effect, ""):
+            yield _of_channel(written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect)
+
+
+# What reads the uncertainties of an entry.
+READERS = {"sensitivity": _of_sensitivity, "delay": _of_delay, "dof": _of_direction, "uncertainty": _of_chain}
 
 
 @dataclass(frozen=True)
 class Slope:
-    """Slope of a calibration fit [unit] with its standard error and degrees of freedom.
-
-    No error where the fit has none.
+    """Slope of a calibration fit [unit] with its standard error and degrees of freedom. No error where the
+    fit has none.
     """
 
     value: float
@@ -142,9 +127,8 @@ class Slope:
 
 
 def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the rig file.
-
-    UnitError where there is none.
+    """The slope of a calibration fit; the reference is FILE#FIT, relative to the *folder*. UnitError where
+    there is none.
     """
     file, _, fit_name = reference.partition("#")
     unreadable = f"'{file}' is not a readable identification.json of a calibration"
@@ -173,24 +157,20 @@ def _slope(parameter: Mapping[str, Any], dof: Any) -> Slope:
     return Slope(value, str(parameter["unit"]), error, None if dof is None else float(dof))
 
 
-# The frequency response of a sensor from a calibration table: CSV with the columns frequency_hz, gain,
-# phase_deg.
-
 COLUMNS = ("frequency_hz", "gain", "phase_deg")
 
 
 def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
-    """Rows (frequency [Hz], gain [1], phase [rad]) of the table; lines that begin with # are left out.
-
-    Gain and phase are what the sensor shows over what there is, relative to its sensitivity. UnitError for a
-    file that cannot be read, other columns, what is no number, fewer than two rows, a gain not above zero, or
-    frequencies that do not increase.
+    """Rows (frequency [Hz], gain [1], phase [rad]) of a table: what the sensor shows over what there is,
+    relative to its sensitivity; lines that begin with # are left out. UnitError for a file that is no such
+    table, fewer than two rows, a gain not above zero, or frequencies that do not increase.
     """
     try:
         text = path.read_text(encoding="utf-8-sig").splitlines()
         lines = [line for line in text if line.strip() and not line.startswith("#")]
     except OSError:
-        raise UnitError(f"no such file '{path.name}'", "paths are relative to the rig file") from None
+        hint = "paths are relative to the file that names them"
+        raise UnitError(f"no such file '{path.name}'", hint) from None
     except UnicodeDecodeError:
         raise UnitError(f"'{path.name}' is no text table", f"columns: {', '.join(COLUMNS)}") from None
     rows = list(csv.reader(lines, skipinitialspace=True))
@@ -212,9 +192,6 @@ def _row(row: list[str], name: str) -> tuple[float, float, float]:
     return frequency, gain, math.radians(phase)
 
 
-# A sensitivity from a certificate: {certificate: probe7.xml, quantity: sensitivity}.
-
-
 @dataclass(frozen=True, kw_only=True)
 class CertificateSettings(Settings):
     """The certificate of a sensitivity, in place of its number."""
@@ -230,7 +207,7 @@ class CertificateSettings(Settings):
     over: str = setting("text", "quantity with the frequencies of a sensitivity over frequency", default="")
     at: float | None = setting(
         "value",
-        "frequency of the stated sensitivity, to which the response is relative",
+        "frequency at which the sensitivity is stated, that of a response of 1",
         unit="Hz",
         default=None,
     )
@@ -240,7 +217,7 @@ class CertificateSettings(Settings):
 @dataclass(frozen=True)
 class Certified:
     """What a certificate gives: the sensitivity as a *text*, its uncertainties, and rows (frequency [Hz],
-    gain [1], phase [rad]) of the response over frequency, none where it states one number.
+    gain [1], phase [rad]) of the response over frequency, if it states one.
     """
 
     text: str
@@ -248,13 +225,15 @@ class Certified:
     response: tuple[tuple[float, float, float], ...] = ()
 
 
-def certified_sensitivity(node: Marked, key: str, faults: Faults) -> Certified | None:
-    """The sensitivity of a channel by its certificate; None and a fault for one that cannot be used."""
+def certified_sensitivity(node: Marked, folder: Path, key: str, faults: Faults) -> Certified | None:
+    """The sensitivity of a channel by its certificate in a *folder*; None and a fault for one that cannot be
+    used.
+    """
     settings = read_settings(CertificateSettings, node, key, faults)
     if settings is None:
         return None
     try:
-        return _certify(settings, node.folder)
+        return _certify(settings, folder)
     except UnitError as error:
         faults.add_unit(node, key, error)
         return None
@@ -266,10 +245,12 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
     if certificate.refused:
         raise UnitError(f"{named}: {certificate.refused}")
     _check_day(settings, certificate.valid_until, named)
-    if settings.serial and settings.serial not in certificate.serials:
-        listed = ", ".join(certificate.serials) or "none"
-        raise UnitError(f"{named} is not of serial number '{settings.serial}'", f"it names: {listed}")
     stated = certificate.quantity(settings.quantity)
+    serials = stated.serials or certificate.serials
+    if settings.serial and settings.serial not in serials:
+        what = f"{named} is not of serial number '{settings.serial}'"
+        what += f" in '{settings.quantity}'" if stated.serials else ""
+        raise UnitError(what, f"it names: {', '.join(serials) or 'none'}")
     if stated.std_errors is None:
         raise UnitError(f"{named} states no uncertainty of '{settings.quantity}'")
     if not all(stated.values):
@@ -299,9 +280,8 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
 
 
 def _check_day(settings: CertificateSettings, valid_until: datetime.date | None, named: str) -> None:
-    """UnitError where the certificate is not valid on the day of the measurement.
-
-    Only whether it is refused depends on the day, no number does.
+    """UnitError where the certificate is not valid on the day of the measurement. Only whether it is refused
+    depends on the day, no number does.
     """
     try:
         day = datetime.date.fromisoformat(settings.date) if settings.date else datetime.date.today()

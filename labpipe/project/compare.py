@@ -42,9 +42,7 @@ from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, Matrix
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
     """The section compare: every comparison in its order. One that lacks a failed test is named among the
-    work's failures.
-
-    Otherwise LabpipeError names the comparison.
+    work's failures. Otherwise LabpipeError names the comparison.
     """
     evidence = Evidence(
         tuple(work.fits),
@@ -58,7 +56,6 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
 
 
 def _each(settings: Sequence[Any], prefix: str, work: Work, make: Callable[[Any], Any]) -> tuple[Any, ...]:
-    """What is made of every entry; one that cannot do without a failed test is named among the failures."""
     records = []
     for entry in settings:
         try:
@@ -71,8 +68,6 @@ def _each(settings: Sequence[Any], prefix: str, work: Work, make: Callable[[Any]
     return tuple(records)
 
 
-# The section matrix: the fits of all tests ordered by their conditions, with a theory beside them.
-
 MATRIX_PREFIX = "matrix."
 # Stands for a condition that the theory does not know.
 NO_ENTRY = "none"
@@ -81,9 +76,8 @@ DEFAULT_AXES = (("x", "y"), ("y", "z"))
 
 
 def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMatrices:
-    """Every matrix in its order; LabpipeError names the matrix.
-
-    One that lacks a failed test is named among the work's failures.
+    """Every matrix in its order; LabpipeError names the matrix. One that lacks a failed test is named among
+    the work's failures.
     """
 
     def matrix(entry: MatrixSettings) -> ConditionMatrix:
@@ -94,8 +88,8 @@ def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMat
 
 
 def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
-    """What a bearing file or a table in the *folder* of the pipeline says of the coefficients at conditions
-    [SI]; None where the matrix names neither. DataError, ConfigError for a file that does not fit.
+    """What a bearing file or a table in the *folder* of the pipeline says of coefficients at conditions [SI];
+    None without. DataError, ConfigError for a file that does not fit.
     """
     if settings.theory is None:
         return None
@@ -105,10 +99,6 @@ def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
 
 
 def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
-    """K and C of a bearing file at the conditions of a point, in the rig's x and y.
-
-    ConfigError for unknown dofs.
-    """
     theories: dict[tuple[float, ...], Mapping[str, float]] = {}
 
     def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
@@ -125,9 +115,8 @@ def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
 
 
 def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
-    """k_xx ...
-
-    c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point the other way.
+    """k_xx ... c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point
+    the other way.
     """
     named = axes or next(
         (pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0]
@@ -148,10 +137,8 @@ def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Ma
 
 def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointTheory:
     """Coefficients of another program: linear between the rows of a table along the first condition, at the
-    level of all others.
-
-    Columns are conditions and coefficients, with their unit in brackets (SI without one). A point outside the
-    table has no theory. DataError where a column of a condition is missing, or a unit does not fit.
+    level of all others; none outside. Columns have their unit in brackets, or SI. DataError where the column
+    of a condition is missing, or a unit does not fit.
     """
     columns = _columns(path)
     for name in over:
@@ -195,14 +182,12 @@ def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointThe
 
 
 def _to_si(text: str, si_unit: str | None) -> tuple[float, float]:
-    """(factor, offset) from the unit *text* to the one needed, or to SI; UnitError for another dimension."""
     si_unit = si_unit or name_of_dimension(parse_unit(text).dimension)
     offset = parse_value(f"0 {text}", si_unit)
     return parse_value(f"1 {text}", si_unit) - offset, offset
 
 
 def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
-    """The columns of a table as they are written and their units, by their names without the unit."""
     table = open_table(path)
     values = np.concatenate(list(table.chunks(table.columns)))
     columns: dict[str, tuple[FloatArray, str]] = {}
@@ -215,7 +200,6 @@ def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
 
 
 def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
-    """Every amount under the name of its comparison."""
     for comparison in comparisons:
         codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
         for amount in comparison.amounts:
@@ -242,7 +226,6 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
 
 
 def statement_lines(records: Comparisons | ConditionMatrices) -> Iterator[str]:
-    """The statement of every one."""
     return (f"{record.name}: {record.statement}" for record in records)
 
 

@@ -22,10 +22,8 @@ from labpipe.records.identification import Identification
 
 @dataclass(frozen=True)
 class Member:
-    """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256.
-
-    kept: it is in the archive itself, not only its digest. day: on which it was last changed, where the
-    result depends on that.
+    """A file of an archive: its *name* there, what it is in words, where it lies now, and its SHA-256. kept:
+    it is in the archive itself. day: on which it was last changed, where the result depends on that.
     """
 
     name: str
@@ -40,7 +38,6 @@ class Member:
 @dataclass(frozen=True)
 class Contents:
     """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*.
-
     left_out: of no result.
     """
 
@@ -52,7 +49,6 @@ class Contents:
 
     @property
     def members(self) -> tuple[Member, ...]:
-        """All files, in the order of their names."""
         return tuple(sorted((*self.of, *self.results), key=lambda member: member.name))
 
 
@@ -107,7 +103,6 @@ def metadata(contents: Contents, date: str) -> bytes:
 
 
 def _heads(contents: Contents, date: str) -> Iterator[Entity]:
-    """The metadata file itself, the archive as a whole, its one folder."""
     title = contents.identification.title
     files = [{"@id": _id(member)} for member in contents.members if member.kept]
     yield {"@id": NAME, "@type": "CreativeWork", "conformsTo": {"@id": VERSION}, "about": {"@id": "./"}}
@@ -128,7 +123,6 @@ def _heads(contents: Contents, date: str) -> Iterator[Entity]:
 
 
 def _id(member: Member) -> str:
-    """The identifier of a file: its path, or what stands for a file that the archive does not hold."""
     return quote(member.name) if member.kept else f"#left-out/{quote(member.name)}"
 
 
@@ -149,7 +143,6 @@ def _entity(member: Member) -> Entity:
 
 
 def _run(contents: Contents) -> Iterator[Entity]:
-    """The run as an action, and the software that did it."""
     commit_hash = commit()
     yield {
         "@id": "#run",
@@ -190,7 +183,6 @@ def read_metadata(content: bytes, where: str) -> Crate:
 
 
 def _root(entities: Mapping[str, Entity]) -> Entity:
-    """The entity that the metadata are about, found as RO-Crate says."""
     descriptor: Entity = {}
     for entity in entities.values():
         kind = entity.get("conformsTo")

@@ -20,26 +20,30 @@ from labpipe.uncertainty import decisions
 
 # (value [SI], whether it meets the rule, the value in the rule's unit, how limits were decided on)
 Compared = tuple[float | str | None, bool, str, RuleDecision | None]
-# What the stated interval covers, over its standard uncertainty.
-STATED = 2 * NORMAL
 
 
 def stated_error(parameter: Parameter) -> float | None:
-    """The combined standard uncertainty behind the interval that is stated [unit of the parameter]: noise,
-    model error, repeats and given numbers; None where there is none.
-
-    Where draws or a profile gave the interval alone, half of it over the quantile of the normal distribution.
+    """The combined standard uncertainty behind the interval that is stated [unit of the parameter], None
+    without one. Where draws or a profile gave the interval alone, half of it over the normal quantile.
     """
     if parameter.full_error is not None or parameter.ci95 is None:
         return parameter.full_error
-    return (parameter.ci95[1] - parameter.ci95[0]) / STATED
+    return (parameter.ci95[1] - parameter.ci95[0]) / (2 * NORMAL)
 
 
-def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> Compared:
-    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits.
+def expanded_of(parameter: Parameter) -> float | None:
+    """The expanded uncertainty [unit of the parameter], half the 95 % interval where noise alone is known."""
+    if parameter.expanded is not None or parameter.ci95 is None:
+        return parameter.expanded
+    return (parameter.ci95[1] - parameter.ci95[0]) / 2
 
-    Without a value or an uncertainty it does not, and the text says so. ConfigError for limits of another
-    dimension.
+
+def decide(
+    rule: Rule, value: float | None, error: float | None, unit: str, expanded: float | None = None
+) -> Compared:
+    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits; without either it
+    does not. *expanded*: its expanded uncertainty, by default that of a normal distribution. ConfigError for
+    limits of another dimension.
     """
     decision = rule.decision
     assert decision is not None
@@ -54,7 +58,8 @@ def decide(rule: Rule, value: float | None, error: float | None, unit: str) -> C
     if error is None or not math.isfinite(error):
         return value, False, f"not judged: {shown} has no standard uncertainty", None
     probability = decisions.conformance(value, error, limits)
-    outcome, acceptance = _outcome(decision, value, error, limits, probability)
+    reach = NORMAL * error if expanded is None else expanded
+    outcome, acceptance = _outcome(decision, value, (error, reach), limits, probability)
     risks = None if process is None else decisions.global_risk(process, error, limits, acceptance)
     ends = (None, None) if acceptance is None else (_end(acceptance.low), _end(acceptance.high))
     record = RuleDecision(
@@ -103,7 +108,6 @@ def _process(decision: Decision, unit: str) -> tuple[float, float] | None:
 
 
 def _text(decision: Decision, value: float, error: float | None, unit: str) -> str:
-    """Value and uncertainty in the unit of the limits."""
     written = written_unit(decision.low or decision.high)
     if not written:
         return amount_text(value, error, unit)
@@ -112,9 +116,16 @@ def _text(decision: Decision, value: float, error: float | None, unit: str) -> s
 
 
 def _outcome(
-    decision: Decision, value: float, error: float, limits: decisions.Limits, probability: float
+    decision: Decision,
+    value: float,
+    errors: tuple[float, float],
+    limits: decisions.Limits,
+    probability: float,
 ) -> tuple[str, decisions.Limits | None]:
-    """The outcome, and the values that pass; None where none does."""
+    """The outcome, and the values that pass; None where none does. *errors*: standard and expanded
+    uncertainty.
+    """
+    error, expanded = errors
     if decision.rule == RISK:
         return decisions.outcome_by_risk(probability, decision.risk), decisions.acceptance_by_risk(
             error, limits, decision.risk
@@ -122,9 +133,7 @@ def _outcome(
     if decision.rule == SIMPLE:
         return (decisions.PASS if limits.hold(value) else decisions.FAIL), limits
     guard = (
-        decisions.guard_band(error, decision.risk)
-        if decision.guard is None
-        else decision.guard * NORMAL * error
+        decisions.guard_band(error, decision.risk) if decision.guard is None else decision.guard * expanded
     )
     if guard < 0:
         # A band outwards: what passes lies within it, and nothing is conditional.
@@ -135,7 +144,6 @@ def _outcome(
 
 
 def _specific(outcome: str, probability: float) -> float:
-    """The risk of this decision: of a false acceptance where the value passes, of a false rejection else."""
     return 1.0 - probability if outcome in (decisions.PASS, decisions.CONDITIONAL_PASS) else probability
 
 
@@ -143,14 +151,11 @@ def _end(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# Several limits together, by what their values have in common.
-
-
 @dataclass(frozen=True)
 class Limited:
     """A number with the limits that it must keep: *value* and standard uncertainty *error* [its unit], None
     where one is missing, with the reason in *why*; *changes* by one standard uncertainty of every systematic
-    source. owner: the fit or comparison that it is of, *name* there.
+    source. owner: its fit or comparison, *name* there.
     """
 
     owner: Fit | Comparison
@@ -192,10 +197,8 @@ def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter)
 
 
 def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
-    """The outcome of a rule that several limits hold at once, by the joint covariance of their values.
-
-    Of numbers whose correlation is not known (of fits to one test, derived ones) the least probability that
-    any correlation leaves counts.
+    """The outcome of a rule that several limits hold at once, by the joint covariance of their values; where
+    a correlation is not known, by the least probability that any leaves.
     """
     decision = rule.decision
     assert decision is not None

@@ -14,10 +14,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from labpipe.project.marked_yaml import Marked
-from labpipe.project.settings_reader import Faults, join
+from labpipe.project.settings_reader import Faults, in_one_line, join
 from labpipe.quantities import QUANTITIES, Dimension, UnitError, name_of_dimension, parse_unit
 from labpipe.records.recording import Number, Term
-from labpipe.records.uncertain import Uncertain, parse_uncertain
+from labpipe.records.uncertain import Uncertain, parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
 
 _SIGN = re.compile(r"(?:^|\s)([+-])(?:\s+|$)")
@@ -49,27 +49,28 @@ def read_constants(node: Marked | None, channels: Collection[str], faults: Fault
         if name in channels:
             faults.add(entry, join("constants", name), "is a channel already", "give it another name")
         try:
-            constants[name] = parse_factor(entry.text, name)
+            constants[name] = parse_factor(in_one_line(entry).text, name)
         except UnitError as error:
             faults.add_unit(entry, join("constants", name), error)
     return constants
 
 
 def parse_factor(text: str, name: str) -> Factor:
-    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty.
-
-    UnitError for anything else.
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty. UnitError for
+    anything else.
     """
     turn = _TURN.match(text.strip())
     if turn is not None:
         return _turn(turn[1], turn[2], turn[3], name)
-    match = _NUMBER.match(text.replace("±", "+-").partition("+-")[0].strip())
+    match = _NUMBER.match(split_uncertainty(text)[0])
     if match is None:
         raise UnitError(f"'{text}' is not a value with its unit", "for example 30 kg +- 0.1 kg")
     dimension = parse_unit(match[1] or "1").dimension
     unit = name_of_dimension(dimension)
-    uncertain = parse_uncertain(text, unit)
-    return Factor(uncertain.value, dimension, _number(name, uncertain, unit))
+    # A minus is that of the term: of -30 kg the error makes 30 kg larger, as of 30 kg by the same scale.
+    sign = -1.0 if text.strip().startswith("-") else 1.0
+    uncertain = parse_uncertain(text.strip().removeprefix("-"), unit)
+    return Factor(sign * uncertain.value, dimension, _number(name, uncertain, unit), sign)
 
 
 def _number(name: str, number: Uncertain, unit: str) -> Number | None:
@@ -120,7 +121,7 @@ class SumReader:
             if re.search(r"[+-]", piece):
                 hint = "plus and minus between channels stand between blanks: f_x - m_s * a_x"
             raise UnitError(f"'{piece}' is neither a channel nor one of the constants", hint)
-        within = f"{piece.replace('±', '+-').partition('+-')[0].strip()} in {name}"
+        within = f"{split_uncertainty(piece)[0]} in {name}"
         return parse_factor(piece, within if piece != term else name)
 
     def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
@@ -154,7 +155,6 @@ def _term_of(member: str, sign: float, factors: list[Factor]) -> Term:
 
 
 def _parts(text: str) -> list[tuple[float, str]]:
-    """(sign, term) of a sum; UnitError where a term is missing."""
     text = text.strip()
     if not text:
         raise UnitError("a sum of channels is missing", "for example f_x - m_s * a_x")
@@ -169,9 +169,8 @@ def _parts(text: str) -> list[tuple[float, str]]:
 
 
 def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
-    """The sum of channel *name* in recorded channels, sums in it written out.
-
-    UnitError for one that holds itself.
+    """The sum of channel *name* in recorded channels, sums in it written out. UnitError for one that holds
+    itself.
     """
     if name in above:
         ring = " of ".join((*above[above.index(name) :], name))

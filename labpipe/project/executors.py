@@ -1,6 +1,4 @@
-"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster:
-one that runs already, one of this machine, or one that a file describes.
-
+"""Where the jobs of many tests run: one after the other, in processes of this machine, or on a Dask cluster.
 Tests go out in batches, a bounded number at a time: a scheduler spends about a millisecond on a task, however
 short that is, and keeps each until its outcome is taken.
 """
@@ -36,7 +34,6 @@ ATTEMPTS = 3
 
 
 def serially(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-    """One after the other in this process."""
     return map(work, jobs)
 
 
@@ -62,7 +59,6 @@ def in_processes(count: int) -> Execute:
 
 
 def _pool(work: Work, jobs: Sequence[Job], count: int) -> Iterator[Done]:
-    """Outcomes of the jobs that finish before a process is killed."""
     others = multiprocessing.active_children()
     # Fresh interpreters: forking a process that has threads is not safe.
     if not jobs:
@@ -104,9 +100,7 @@ FILE_KEYS = ("class", "arguments", "adapt", "scale")
 
 def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
     """On the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786; "local": processes of this machine;
-    FILE.yaml: a cluster to start.
-
-    Workers must see the same files under the same paths.
+    FILE.yaml: a cluster to start. They must see the same files under the same paths.
     """
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
@@ -126,19 +120,10 @@ def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
 
 
 def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
-    """Outcomes as they come.
-
-    Tests of a batch whose workers were all ended are tried alone, so that one of them costs no other.
-    """
+    """Outcomes as they come. Tests of a batch whose workers were all ended are tried alone."""
     size = batch_size(len(jobs), len(client.nthreads()))
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
     batches: dict[Any, Sequence[Job]] = {}
-
-    def submit() -> Any:
-        batch = waiting.pop()
-        future = client.submit(work_on, work, batch, pure=False, retries=ATTEMPTS - 1)
-        batches[future] = batch
-        return future
 
     def ended(seconds: float) -> Any:
         with client.as_current():
@@ -146,7 +131,8 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
 
     while waiting or batches:
         while waiting and len(batches) < MOST_BATCHES:
-            submit()
+            batch = waiting.pop()
+            batches[client.submit(work_on, work, batch, pure=False, retries=ATTEMPTS - 1)] = batch
         for future in _patiently(client, ended):
             # A worker that is ended now takes its outcome with it, which is then worked out again.
             error = _patiently(client, future.exception)
@@ -162,10 +148,7 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
 
 
 def _patiently(client: Any, ask: Callable[[float], Any]) -> Any:
-    """What is asked for within some seconds, again and again as long as there are workers.
-
-    DataError where there was none for an hour.
-    """
+    """What is asked for again and again as long as there are workers; DataError after an hour without any."""
     since = time.monotonic()
     while True:
         try:
@@ -184,7 +167,6 @@ def batch_size(n_job: int, n_worker: int) -> int:
 
 
 def work_on(work: Work, batch: Sequence[Job]) -> list[Done]:
-    """The outcomes of a batch, on a worker."""
     return [work(job) for job in batch]
 
 
@@ -203,10 +185,6 @@ def _distribute() -> Any:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
-    """A client of the cluster that an address, "local" or a file names.
-
-    What was started for it ends with it.
-    """
     patience = CONNECT_SECONDS
     with ExitStack() as started:
         if address == LOCAL:
@@ -225,9 +203,7 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
 
 
 def _describe(path: Path) -> Any:
-    """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, and `adapt:` or `scale:`
-    for the number of workers.
-    """
+    """The cluster of a file: `class: dask_jobqueue.SLURMCluster`, its `arguments:`, `adapt:` or `scale:`."""
     entries = load_marked(path).plain()
     class_path = entries.get("class") if isinstance(entries, dict) else None
     if not isinstance(class_path, str) or "." not in class_path:
@@ -255,7 +231,6 @@ def _describe(path: Path) -> Any:
 
 
 def _connect(distributed: Any, address: str, patience: float) -> Any:
-    """A client of the scheduler whose workers, waited for so many seconds, have this version of labpipe."""
     try:
         how = {"timeout": CONNECT_SECONDS, "set_as_default": False, "security": _security(address)}
         client = distributed.Client(address, **how)
@@ -281,10 +256,6 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
 
 
 def _security(address: str) -> Any:
-    """The certificates that Dask's own configuration names, for an address tls://....
-
-    None for another one.
-    """
     if not address.startswith("tls://"):
         return None
     security: Any = _distribute().Security()

@@ -26,6 +26,7 @@ from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import cell, output_file, write_table_csv
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.deciding import stated_error
+from labpipe.project.one_test import stated_day
 from labpipe.raw_files.certificate import DCC, SI, dsi_unit
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.raw_files.mat import write_frf_mat, write_recording_mat
@@ -41,8 +42,8 @@ WRITERS = Registry("writer")
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as the table labpipe reads again, recordings, decays, spectra as columns per channel "name
-    [unit]", results as parameters.
+    """An FRF as labpipe reads it again; recordings, decays, spectra as columns "name [unit]"; results as
+    parameters.
     """
     table = _table(artefact)
     if table is None:
@@ -61,7 +62,6 @@ def write_parquet(artefact: Path, target: Path) -> None:
 
 
 def _table(artefact: Path) -> pd.DataFrame | None:
-    """An artefact as a table by the ending of its name; None for an FRF."""
     tables = {
         ".json": parameter_table,
         measured_files.DECAY_SUFFIX: decay_table,
@@ -72,9 +72,8 @@ def _table(artefact: Path) -> pd.DataFrame | None:
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
-    """A recording or an FRF as a universal file, numbers as text.
-
-    Of a result its mode shapes (records 15, 82 and 55).
+    """A recording or an FRF as a universal file, numbers as text. Of a result its mode shapes (records 15, 82
+    and 55).
     """
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
@@ -87,12 +86,10 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
 
 
 def write_uff58b(artefact: Path, target: Path) -> None:
-    """The same with binary numbers."""
     write_uff(artefact, target, binary=True)
 
 
 def write_mat(artefact: Path, target: Path) -> None:
-    """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
     _refuse_tables(artefact, "a MATLAB file")
@@ -103,9 +100,6 @@ def write_mat(artefact: Path, target: Path) -> None:
 
 
 def write_shapes(artefact: Path, target: Path) -> None:
-    """The mode shapes of a result as a table: one row per mode and point."""
-    if artefact.suffix != ".json":
-        raise DataError("holds no mode shapes", artefact, "they stand in identification.json")
     write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
@@ -114,18 +108,22 @@ def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     return _fits_with(Modes, artefact, "holds no mode shapes", "parameters are written as csv or parquet")
 
 
+def result_of(artefact: Path, what: str) -> Identification:
+    """The result of a file; DataError that says *what* any other artefact lacks."""
+    if artefact.suffix != ".json":
+        raise DataError(what, artefact, "name an identification.json, which has it")
+    return read_identification(artefact)
+
+
 def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
-    """The fits of a result that have details of a kind; DataError where there is none."""
-    fits = tuple(fit for fit in read_identification(artefact).fits if fit.detail(kind) is not None)
+    fits = tuple(fit for fit in result_of(artefact, what).fits if fit.detail(kind) is not None)
     if not fits:
         raise DataError(what, artefact, hint)
     return fits
 
 
 def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
-    """One row per fit, mode and point: the complex shape with its standard error, and the place of the point
-    where it is known.
-    """
+    """One row per fit, mode and point: complex shape, standard error, and the place of the point if known."""
     rows = []
     for fit in fits:
         modes = fit.detail(Modes)
@@ -151,32 +149,30 @@ def recording_table(artefact: Path) -> pd.DataFrame:
     record = open_recording(artefact).in_memory()
     names = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
     table = pd.DataFrame(record.samples, columns=names)
-    table.insert(0, "t [s]", [n / record.sample_rate for n in range(record.n_sample)])
+    table.insert(0, "t [s]", np.arange(record.n_sample) / record.sample_rate)
     return table
 
 
 def decay_table(artefact: Path) -> pd.DataFrame:
-    """One row per sample: the number of the decay from 1, its recording, time in it in seconds, and the
-    responses in SI units.
+    """One row per sample: number of the decay from 1, recording, time in it in seconds, responses in SI
+    units.
     """
     decays = measured_files.read_decays(artefact)
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
     tables = []
     for number, decay in enumerate(decays.decays, 1):
-        table = pd.DataFrame(decay.samples, columns=names)
-        table.insert(0, "t [s]", [decay.start + n / decays.sample_rate for n in range(len(table))])
-        table.insert(0, "recording", decay.recording)
-        table.insert(0, "decay", number)
-        tables.append(table)
+        times = decay.start + np.arange(len(decay.samples)) / decays.sample_rate
+        head = {"decay": number, "recording": decay.recording, "t [s]": times}
+        tables.append(pd.concat([pd.DataFrame(head), pd.DataFrame(decay.samples, columns=names)], axis=1))
     return pd.concat(tables, ignore_index=True)
 
 
 def _refuse_tables(artefact: Path, what: str) -> None:
-    """DataError for spectra of all channels and for decays, of which there are tables only."""
-    for suffix, name in (
-        (measured_files.SPECTRA_SUFFIX, "spectra of all channels"),
-        (measured_files.DECAY_SUFFIX, "free decays"),
-    ):
+    tables = {
+        measured_files.SPECTRA_SUFFIX: "spectra of all channels",
+        measured_files.DECAY_SUFFIX: "free decays",
+    }
+    for suffix, name in tables.items():
         if artefact.name.endswith(suffix):
             raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
 
@@ -221,31 +217,23 @@ def parameter_table(artefact: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-# The covariance of all parameters of a result, split by source, as a table for other programs.
-
 NOISE = "noise"
 
 
 def write_covariance_csv(artefact: Path, target: Path) -> None:
-    """`covariance_table` as CSV."""
     write_table_csv(covariance_table(artefact), target)
 
 
 def write_covariance_parquet(artefact: Path, target: Path) -> None:
-    """`covariance_table` as Parquet."""
     covariance_table(artefact).to_parquet(target, index=False)
 
 
 def covariance_table(artefact: Path) -> pd.DataFrame:
-    """One row per test, fit, source and pair of parameters: covariance [product of the parameters' SI units].
-
-    The sum over all sources is the covariance of the combined uncertainties. Sources of one name are one
-    error in all fits: between two fits they add the product of `change`, that of a parameter by one standard
-    uncertainty of the source. DataError for another artefact.
+    """One row per test, fit, source and pair of parameters: covariance [product of the parameters' SI units];
+    summed over the sources that of the combined uncertainties. Sources of one name are one error in all fits:
+    between two they add the product of `change`, by one standard uncertainty. DataError for another artefact.
     """
-    if artefact.suffix != ".json":
-        raise DataError("holds no parameters", artefact, "they stand in identification.json")
-    rows = [row for fit in read_identification(artefact).fits for row in _rows(fit)]
+    rows = [row for fit in result_of(artefact, "holds no parameters").fits for row in _rows(fit)]
     if not rows:
         raise DataError("no parameter of it has an uncertainty", artefact)
     return pd.DataFrame(rows)
@@ -263,9 +251,8 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units].
-
-    Noise has no change with a sign.
+    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units]. Noise has no change with
+    a sign.
     """
     # None becomes not-a-number.
     errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)
@@ -277,8 +264,6 @@ def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
         for source, changes in zip(fit.budget.sources, fit.budget.changes, strict=True):
             yield source.source, np.outer(changes, changes), changes
 
-
-# A study as one table: a row for every parameter of every fit at every noise level.
 
 HEADER = (
     "fit,estimator,noise,lines,repeats,failed,parameter,unit,truth,mean,rmse,cramer_rao_bound,mean_std_error,"
@@ -298,14 +283,8 @@ def write_study_csv(path: Path, study: Study) -> None:
                 table.writerow((*map(cell, (*head, p.name)), *numbers))
 
 
-# Plants for robust control design as files: the band over frequency as CSV, nominal model and weight as a
-# MATLAB file.
-
-
 def write_band_csv(artefact: Path, target: Path) -> None:
-    """One row per fit, line, output and input: nominal plant, radius of the band around it, weight and its
-    overbound.
-    """
+    """One row per fit, line, output and input: nominal plant, radius of its band, weight and overbound."""
     tables = []
     for fit in robust_fits(artefact):
         plant = fit.detail(RobustPlant)
@@ -325,9 +304,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
 
 def write_plant_mat(artefact: Path, target: Path) -> None:
     """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
-    overbound's k, zero and pole [Hz].
-
-    DataError for several such fits, of which a file holds one.
+    overbound's k, zero and pole [Hz]. DataError for several such fits.
     """
 
     fits = robust_fits(artefact)
@@ -347,20 +324,13 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
 
 def robust_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have a plant; DataError where there is none."""
-    if artefact.suffix != ".json":
-        raise DataError(
-            "holds no plant", artefact, "plants stand in identification.json, of fits of the model magnet"
-        )
-    return _fits_with(
-        RobustPlant, artefact, "holds no plant", "model: magnet, with one run per axis at least"
-    )
+    hint = "of fits of the model magnet, with one run per axis at least"
+    return _fits_with(RobustPlant, artefact, "holds no plant", hint)
 
 
 def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: str = "u [V]") -> None:
     """Write *samples* (n_sample,) [V], or as the title of the *column* says, in the format of the suffix;
-    ConfigError for other suffixes.
-
-    A WAV file is scaled to full range.
+    ConfigError for other suffixes. A WAV file is scaled to full range.
     """
     suffix = path.suffix.lower()
     device = path.exists() and not path.is_file() and not path.is_dir()
@@ -400,9 +370,7 @@ def write_dcc(artefact: Path, target: Path) -> None:
     """The parameters of a result with their expanded uncertainties, and the outcomes of its rules; the same
     bytes for the same result. DataError for an artefact that is no result.
     """
-    if artefact.suffix != ".json":
-        raise DataError("cannot be written as a certificate", artefact, "name an identification.json")
-    identification = read_identification(artefact)
+    identification = result_of(artefact, "cannot be written as a certificate")
     ET.register_namespace("dcc", DCC[1:-1])
     ET.register_namespace("si", SI[1:-1])
     root = ET.Element(f"{DCC}digitalCalibrationCertificate", schemaVersion=SCHEMA)
@@ -422,7 +390,6 @@ def _child(owner: ET.Element, name: str, text: str = "", space: str = DCC, **att
 
 
 def _name(owner: ET.Element, name: str, text: str) -> ET.Element:
-    """An element whose name is a text."""
     child = _child(owner, name)
     _child(_child(child, "name"), "content", text)
     return child
@@ -436,8 +403,7 @@ def _administrative(owner: ET.Element, identification: Identification) -> None:
     _child(core, "usedLangCodeISO639_1", "en")
     _child(core, "mandatoryLangCodeISO639_1", "en")
     _child(core, "uniqueIdentifier", f"labpipe:{identification.digest or NOT_STATED}")
-    of_tests = identification.test_conditions.values()
-    days = sorted(conditions["date"] for conditions in of_tests if "date" in conditions)
+    days = sorted(filter(None, map(stated_day, identification.test_conditions.values())))
     if days:
         _child(core, "beginPerformanceDate", days[0])
         _child(core, "endPerformanceDate", days[-1])
@@ -460,7 +426,6 @@ def _locate(contact: ET.Element) -> None:
 
 
 def _statement(owner: ET.Element, outcome: RuleOutcome) -> None:
-    """A rule as a statement of conformity, with what it found."""
     declared = f"{outcome.section}: {outcome.rule}; {outcome.found}"
     _child(_child(owner, "declaration"), "content", declared)
     word = "pass" if outcome.passed else "fail"
@@ -481,7 +446,6 @@ def _fit(owner: ET.Element, fit: Fit, key: str) -> None:
 
 
 def _quantity(owner: ET.Element, parameter: Parameter, key: str) -> None:
-    """A parameter with the half width of its stated interval as expanded uncertainty."""
     name = re.sub(r"[^A-Za-z0-9_.-]", "-", parameter.name)
     quantity = _name(owner, "quantity", parameter.name)
     quantity.set("id", f"{key}_{name}")

@@ -38,12 +38,11 @@ _WHOLE = (("re", "im"), ("amplitude", "phase"), ("amplitude_db", "phase"))
 @dataclass(frozen=True)
 class GuessedFrf:
     """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
-    (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes.
-
-    word: what the entry calls the columns, '' for records that need none. elements: the columns of each
-    element of a matrix by its name. form: where a name says it. doubts: what is a guess. label: what records
-    say of their numbers that is no unit of an FRF. conjugate: *values* are conjugates of the file's numbers.
-    reference: the force, where the file names it; elements then have the names of their responses.
+    (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes. word:
+    what the entry calls the columns, '' for records. elements: the columns of each element of a matrix. form:
+    where a name says it. doubts: what is a guess. label: of records, where it is no unit of an FRF.
+    conjugate: *values* are conjugates of the file's. reference: the force, where named; elements are then
+    named by their responses.
     """
 
     columns: dict[str, str]
@@ -61,9 +60,7 @@ class GuessedFrf:
 
 def guessed_frf(path: Path) -> GuessedFrf | None:
     """The FRFs of a table or of variables of another program, or of universal records that leave their form
-    open.
-
-    None for any other file.
+    open. None for any other file.
     """
     suffix = plain_suffix(path)
     if suffix in frf_described.VARIABLE_SUFFIXES:
@@ -74,7 +71,6 @@ def guessed_frf(path: Path) -> GuessedFrf | None:
 
 
 def _of_records(path: Path) -> GuessedFrf | None:
-    """Universal FRFs: their form as the title has it, where it has."""
     frfs = [record for record in read_uff(path) if record.function == FRF]
     if not frfs:
         return None
@@ -117,7 +113,6 @@ def _of_table(path: Path) -> GuessedFrf | None:
 
 
 def _unit_of_frf(unit: str) -> str:
-    """The unit, in labpipe's notation where it is SI; '' for one that is none of an FRF."""
     for form in MECHANICAL:
         try:
             return FORMS[form] if unit_of(unit, FORMS[form]).factor == 1 else unit
@@ -161,10 +156,9 @@ def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     elements, doubts = _complex_elements(vectors)
     if not elements:
         elements, doubts = _pairs(vectors)
-    size = _usual_size(vectors, elements)
-    elements = {
-        name: parts for name, parts in elements.items() if vectors[next(iter(parts.values()))].size == size
-    }
+    sizes = [_first(vectors, parts).size for parts in elements.values()]
+    size = max(sizes, key=sizes.count, default=0)
+    elements = {name: parts for name, parts in elements.items() if _first(vectors, parts).size == size}
     axis = _axis_of(vectors, size, elements)
     lines, frequency = (
         ({"frequency": axis}, vectors[axis].real) if axis else frf_described.equal_steps(source, size)
@@ -188,7 +182,6 @@ def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
 
 
 def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatArray:
-    """The first part (n,) of an element: its complex numbers, amplitude or real part."""
     return vectors[next(iter(parts.values()))]
 
 
@@ -268,11 +261,6 @@ def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
             if partner:
                 elements[stem] = {kind: name, other: partner}
     return elements, tuple(dict.fromkeys(doubts))
-
-
-def _usual_size(vectors: Vectors, elements: Elements) -> int:
-    sizes = [_first(vectors, parts).size for parts in elements.values()]
-    return max(sizes, key=sizes.count, default=0)
 
 
 def _axis_of(vectors: Vectors, size: int, elements: Elements) -> str:

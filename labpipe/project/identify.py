@@ -42,12 +42,10 @@ def identify_stage(
     failed: Sequence[Failed] = (),
     inputs: Sequence[SourceRef] = (),
 ) -> Identification:
-    """The identification of all tests and all sections of a pipeline, made unless the one on disk is fresh.
-
-    *jobs*: processes of the study, 0 for one per processor. *test_fits*: fits already made test by test, by
-    their name in the pipeline. *failed*: the tests that are missing; a comparison that cannot do without them
-    is missing as well. *inputs*: the digests of what was measured itself, by which a change of a rig, a
-    sensor or a recording reaches the result.
+    """The identification of all tests and sections of a pipeline, made unless the one on disk is fresh.
+    *jobs*: processes of the study, 0 for one per processor. *test_fits*: those made already, by their name in
+    the pipeline. *failed*: the tests that are missing. *inputs*: the digests of what was measured, by which a
+    change of a rig or recording reaches the result.
     """
     basis = Identification(
         fits=(),
@@ -80,7 +78,6 @@ def identify_stage(
 
 
 def _run_sections(work: Work) -> dict[str, Any]:
-    """The records of all sections by their key; fits are collected in the work."""
     records: dict[str, Any] = {}
     for name, settings in work.pipeline.sections.items():
         entry = section(name)
@@ -93,7 +90,6 @@ def _run_sections(work: Work) -> dict[str, Any]:
 
 
 def _same_work(existing: Identification, basis: Identification) -> bool:
-    """True if both rest on the same inputs, settings, rig and code, and the same tests failed."""
     failed_tests = tuple(
         failure for failure in existing.failed if not failure.name.startswith((COMPARE_PREFIX, FIT_PREFIX))
     )
@@ -102,7 +98,6 @@ def _same_work(existing: Identification, basis: Identification) -> bool:
 
 
 def _existing(output: OutputFolder) -> Identification | None:
-    """The result on disk, or None when there is none that this version reads."""
     path = output.read_path(NAME)
     if not path.exists():
         return None
@@ -118,9 +113,8 @@ def _existing(output: OutputFolder) -> Identification | None:
 
 
 def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:
-    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work.
-
-    Conditions as the *tests* had them.
+    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work. Conditions as
+    the *tests* had them.
     """
     measured = {test.name: test.conditions for test in tests}
     entry: dict[str, Any] = {
@@ -141,6 +135,5 @@ def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:
-    """The rig as the report shows it."""
     rig = pipeline.first_rig
     return {} if rig is None else json.loads(json.dumps(dataclasses.asdict(rig)))

@@ -1,13 +1,12 @@
-"""ingest: raw files -> calibrated recordings in SI units, chunk by chunk, with what was found in them.
-
-A file of which a reading costs no more than reading that copy would, and of which single columns can be read,
-is measured as it is read, without a copy.
+"""ingest: raw files -> calibrated recordings in SI units, chunk by chunk, with what was found in them. A file
+that is read as fast as that copy, and by single columns, is measured as it is read, without a copy.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property, partial
@@ -24,13 +23,19 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
-from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
+from labpipe.raw_files.screening import JITTER, ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
 from labpipe.records.rig import Rig, RigChannel, time_scale
 
 # Ends of the range of a channel that cannot clip.
 FAR = (-1e300, 1e300)
+TIME_NAMES = (
+    "t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time",
+    "uhrzeit",
+)  # fmt: skip
+# Rates that differ by more are not those of one recording, whatever its clock.
+ANOTHER_RATE = 0.01
 # Rates are written down with this many digits at least.
 SAME_RATE = 1e-4
 # Samples that are calibrated at once.
@@ -53,13 +58,12 @@ def ingest(
     joined: Sequence[Path] = (),
     by: str = "",
 ) -> recording_file.StoredRecording:
-    """The calibrated recording of a raw file, made unless the one on disk is fresh.
-
-    *name* is the recording's file name in the output folder without its ending; *base* is the folder to which
-    paths in the header are relative. *joined*: further files with channels of the same run, joined *by* time
-    or sample. Raises DataError with file and line for what cannot be used.
+    """The calibrated recording of a raw file, made unless the one on disk is fresh. *name*: its file name in
+    the output folder without ending; *base*: the folder to which paths in the header are relative; *joined*:
+    further files of the same run, joined *by* time or sample. DataError with file and line for what cannot be
+    used.
     """
-    if is_recording(source):
+    if is_recording(source) and not joined:
         return recording_file.open_recording(source)
     table = _join([source, *joined], rig, by) if joined else _open(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
@@ -76,7 +80,6 @@ def ingest(
 
 
 def changed_while_read(path: Path) -> DataError:
-    """The fault of a file that was written to meanwhile."""
     return DataError("changed while it was read", path, "run again when it is complete")
 
 
@@ -88,6 +91,9 @@ def _open(source: Path, rig: Rig) -> Table:
 
 
 def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
+    calibrated = next(filter(is_recording, paths), None)
+    if calibrated is not None:
+        raise DataError("is calibrated already, and is not joined", calibrated, "join the raw files")
     tables = [open_table(path) for path in paths]
     if rig.resample is not None:
         what = "`resample` brings the channels of one file to a rate, and these files are joined"
@@ -100,21 +106,44 @@ def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
-def check_table(table: Table, rig: Rig) -> list[str]:
-    """The columns of the rig's channels, the time before them.
+def named_times(table: Table) -> list[str]:
+    """The columns that are times by their names, and no frequencies by their unit."""
+    names = (name for name in dict.fromkeys(table.columns) if table.units.get(name) != "Hz")
+    return [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in TIME_NAMES]
 
-    DataError for one that is missing, or whose unit is another.
+
+def _check_rate(table: Table, rig: Rig) -> None:
+    """DataError where times in a unit say another rate than the rig file; few digits may change their median
+    step, gaps their mean one, and neither both.
+    """
+    stated = rig.sample_rate or 0.0
+    for name in named_times(table) if stated else ():
+        if table.columns.count(name) > 1 or name not in table.units:
+            continue
+        first = next(iter(table.chunks([name])), np.zeros((1, 1)))
+        times = first[:, 0] * time_scale(name, table.units)
+        steps = np.diff(times) if times.size > 1 else np.zeros(1)
+        both = np.array([steps.mean(), np.median(steps)])
+        if np.all(both > 0) and np.all(np.abs(both * stated - 1) > ANOTHER_RATE):
+            by_rig = f"at {stated:g} Hz by the rig file"
+            what = f"is sampled at {1 / both[0]:g} Hz by its column '{name}', {by_rig}"
+            raise DataError(what, table.path, f"time: '{name}' in place of sample_rate, or correct it")
+
+
+def check_table(table: Table, rig: Rig) -> list[str]:
+    """The columns of the rig's channels, the time before them. DataError for one that is missing, or whose
+    unit is another.
     """
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
     check_time(table, rig.time)
+    _check_rate(table, rig)
     for channel in rig.channels:
         _check_unit(table, channel)
     return timed
 
 
 def channel_screen(rig: Rig) -> ChannelScreen:
-    """The search for faults of a rig's measured channels."""
     names = [channel.channel.name for channel in rig.channels]
     return ChannelScreen(names, list(map(_si_limits, rig.channels)))
 
@@ -129,9 +158,8 @@ class Calibration:
         self._changes = (self._scale != 1) | (self._offset != 0)
 
     def measured(self, chunk: FloatArray) -> FloatArray:
-        """Recorded columns (n, n_measured) [unit of the file] in SI units.
-
-        Those of a file that holds these already are not copied.
+        """Recorded columns (n, n_measured) [unit of the file] in SI units. Those of a file that holds these
+        already are not copied.
         """
         if not self._changes.any():
             return chunk
@@ -179,7 +207,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> r
                 block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
                 screen.add(block)
                 writer.write(calibration.with_sums(block))
-            sample_rate = time.sample_rate() if time is not None else stated_rate(table, rig)
+            sample_rate = _rate_of_times(time, table) if time is not None else stated_rate(table, rig)
             contents = recording_file.recording_contents(channels, sample_rate, name, screen.levels())
             of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
             findings = (*of_table, *screen.findings())
@@ -195,6 +223,7 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
     columns = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in columns]
     checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
+    checks += [partial(check_time, table, rig.time), partial(_check_rate, table, rig)]
     if rig.time is None:
         checks.append(partial(stated_rate, table, rig))
     faults: list[DataError] = []
@@ -208,9 +237,8 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
 
 
 def stated_rate(table: Table, rig: Rig) -> float:
-    """The sampling rate [Hz] that the rig file or the file itself states.
-
-    DataError when none does, or both do and differ.
+    """The sampling rate [Hz] that the rig file or the file itself states. DataError when none does, or both
+    do and differ.
     """
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
@@ -221,6 +249,14 @@ def stated_rate(table: Table, rig: Rig) -> float:
         message = f"is sampled at {file_rate:g} Hz by the file itself, {by_rig}"
         raise DataError(message, table.path, "leave sample_rate out of the rig file, or correct it")
     return float(rig.sample_rate or file_rate or 0.0)
+
+
+def _rate_of_times(screen: TimeAxisScreen, table: Table) -> float:
+    rate, stated = screen.sample_rate(), table.sample_rate
+    if stated is not None and abs(stated / rate - 1) > JITTER:
+        what = f"is sampled at {stated:g} Hz by the file itself, at {rate:g} Hz by its times"
+        raise DataError(what, table.path, "leave time out of the rig file, or correct the file")
+    return rate
 
 
 def _check_unit(table: Table, channel: RigChannel) -> None:
@@ -234,9 +270,8 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
-    """The recorded values at which the logger clips, in SI units of the channel, increasing.
-
-    Pulses have flat ends and none.
+    """The recorded values at which the logger clips, in SI units of the channel, increasing. Pulses have flat
+    ends and none.
     """
     if channel.limits is None:
         return FAR if channel.channel.quantity == "tacho" else None
@@ -267,7 +302,6 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 def ingest_all(
     sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path
 ) -> list[recording_file.StoredRecording]:
-    """`ingest` for many files of one rig."""
     paths = list(sources)
     named = zip(paths, unique_names(paths), strict=True)
     return [ingest(path, rig, output, name, base) for path, name in named]
@@ -278,18 +312,12 @@ def recording_refs(recording: recording_file.StoredRecording, base: Path) -> tup
     return recording.header.inputs or (source_ref(recording.path, base),)
 
 
-# A raw file that is measured as it is read: calibrated, screened and digested block by block.
-
-# A file younger than this [ns] may have been changed without another time of change: clocks of file systems
-# tick.
 YOUNG = 2_000_000_000
 
 
 def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
     """The recording of a raw file that can be measured as it is read; None for one that needs `ingest`.
-    Raises DataError as that does.
-
-    *base* is the folder to which the path in its reference is relative.
+    Raises DataError as that does. *base* is the folder to which the path in its reference is relative.
     """
     if is_recording(source) or rig.resample is not None:
         return None
@@ -298,9 +326,8 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
 
 class RawRecording:
-    """The channels of a raw file [SI]. Satisfies SampleSource.
-
-    *findings* and digest are those of the first whole reading.
+    """The channels of a raw file [SI]. Satisfies SampleSource. *findings* and digest are of the first whole
+    reading.
     """
 
     def __init__(self, table: QuickTable, rig: Rig, base: Path) -> None:
@@ -322,7 +349,7 @@ class RawRecording:
         screen = TimeAxisScreen(self.rig.time)
         for (times,) in self._table.column_chunks([self.rig.time]):
             screen.add(np.asarray(times, np.float64) * time_scale(self.rig.time, self._table.units))
-        return screen.sample_rate()
+        return _rate_of_times(screen, self._table)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -347,10 +374,7 @@ class RawRecording:
         return self._table.column_chunks(self._columns)
 
     def _screened(self) -> Iterator[list[FloatArray]]:
-        """The same, looked at for faults and digested on the way.
-
-        What comes of it holds when all was read.
-        """
+        """The same, looked at for faults and digested on the way; what comes of it holds after the last."""
         screen = channel_screen(self.rig)
         with DigestAlong(self.path) as digest:
             for columns in self._record():
@@ -373,7 +397,6 @@ class RawRecording:
             screen.add(self._calibration.in_rows(columns))
 
     def source_ref(self) -> SourceRef:
-        """The reference by which a result names the raw file."""
         self._sha256 = self._sha256 or file_sha256(self.path)
         return source_ref(self.path, self._base, self._sha256)
 

@@ -15,7 +15,7 @@ from labpipe.artefacts.recording_file import StoredRecording, open_recording
 from labpipe.artefacts.writing import output_file
 from labpipe.errors import DataError
 from labpipe.project.first_guess import step_of
-from labpipe.project.ingest import contradictions, is_recording
+from labpipe.project.ingest import TIME_NAMES, contradictions, is_recording, named_times
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import format_of
 from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
@@ -29,17 +29,11 @@ from labpipe.records.rig import Rig, time_scale
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 BLOCK = 1 << 16
-TIME_NAMES = (
-    "t", "time", "zeit", "x_value", "timestamp", "time stamp", "datetime", "date/time", "date time",
-    "uhrzeit",
-)  # fmt: skip
 
 
 def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse | ChannelSpectra | FileShapes:
-    """The overview of a recording, free decays or a raw file, or the response, the spectra or the mode shapes
-    of a file; DataError for one that cannot be read.
-
-    Recordings and tables are read once, block by block; what is kept does not grow with their length.
+    """The overview of a recording, free decays or a raw file, or the response, spectra or mode shapes of a
+    file, read once in blocks; DataError for one that cannot be read.
     """
     if file.is_file() and plain_suffix(file) in UFF_SUFFIXES:
         shapes = guard(read_shapes_uff, file)
@@ -59,9 +53,8 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
 def write_card(
     content: Overview | FrequencyResponse | ChannelSpectra | FileShapes, file: str, path: Path
 ) -> None:
-    """The card of a file as a document; the format follows from the ending of *path* (.html, .pdf, .md).
-
-    DataError for shapes, which have none.
+    """The card of a file as a document, by the ending of *path* (.html, .pdf, .md). DataError for shapes,
+    which have none.
     """
     if isinstance(content, FileShapes):
         raise DataError("holds mode shapes alone, which have no card", file, "leave -o out")
@@ -147,11 +140,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     frequencies = [name for name in names if table.units.get(name) == "Hz"]
-    times = [
-        name
-        for name in names
-        if name not in frequencies and name.split("[")[0].split("(")[0].strip().lower() in TIME_NAMES
-    ]
+    times = named_times(table)
     if not times and table.sample_rate is None and names[0] not in frequencies and len(names) > 1:
         # A first column of even steps is the time, whatever it is called, as for `init`.
         times = [names[0]] if step_of(next(iter(table.chunks(names[:1])))[:, 0]) else []

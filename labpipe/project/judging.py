@@ -26,15 +26,14 @@ _COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operato
 
 
 def compare_number(
-    rule: Rule, value: float | None, unit: str, error: float | None = None
+    rule: Rule, value: float | None, unit: str, error: float | None = None, expanded: float | None = None
 ) -> deciding.Compared:
-    """Whether a number [*unit*, SI] meets the rule, and the number in the unit of the rule.
-
-    One that could not be given meets none. *error*: its standard uncertainty [unit], by which rules with
-    limits are decided; all others compare the value alone.
+    """Whether a number [*unit*, SI] meets the rule, and the number in the rule's unit; one that could not be
+    given meets none. *error*, *expanded*: its uncertainties [unit], by which rules with limits are decided;
+    all others compare the value alone.
     """
     if rule.decision is not None:
-        return deciding.decide(rule, value, error, unit)
+        return deciding.decide(rule, value, error, unit, expanded)
     try:
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
@@ -49,9 +48,8 @@ def compare_number(
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
-    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one.
-
-    UnitError for a wrong one.
+    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one. UnitError
+    for a wrong one.
     """
     written = written_unit(split_uncertainty(rule.bound)[0])
     return (
@@ -62,9 +60,8 @@ def found_text(rule: Rule, value: float, unit: str) -> str:
 
 
 def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> deciding.Compared:
-    """Whether a 95 % interval [*unit*, SI] covers the value of the rule.
-
-    The interval as text, in SI and in the unit of the rule.
+    """Whether a 95 % interval [*unit*, SI] covers the value of the rule. The interval as text, in SI and in
+    the unit of the rule.
     """
     try:
         wanted = parse_value(rule.bound, unit)
@@ -78,13 +75,10 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> d
 
 
 def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
-    """The expanded uncertainty, half the 95 % interval where noise alone is known.
-
-    Relative to the value where the rule is in per cent.
-    """
-    if parameter.ci95 is None:
+    """The expanded uncertainty against a rule, relative to the value where that is in per cent."""
+    half = deciding.expanded_of(parameter)
+    if parameter.ci95 is None or half is None:
         return None, False, "", None
-    half = (parameter.ci95[1] - parameter.ci95[0]) / 2 if parameter.expanded is None else parameter.expanded
     if rule.bound.endswith("%"):
         return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
     return compare_number(rule, half, parameter.unit)
@@ -106,11 +100,9 @@ _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
 def judge(
     rules: Iterable[Rule], fits: Sequence[Fit], records: Mapping[str, Any], incomplete: bool = False
 ) -> tuple[RuleOutcome, ...]:
-    """The outcome of every rule on fits, and on the *records* of sections by their key.
-
-    ConfigError at the rule's place when it addresses what the result does not have; in an *incomplete*
-    result, where tests failed, such a rule fails. A value whose bias cannot be known is not accepted,
-    whatever the rules say and where there are none.
+    """The outcome of every rule on fits, and on the *records* of sections by their key. ConfigError at the
+    rule's place when it addresses what the result does not have; in an *incomplete* result, where tests
+    failed, it fails. A value whose bias cannot be known is not accepted, whatever the rules say.
     """
     rules = tuple(rules)
     outcomes: list[RuleOutcome] = []
@@ -128,7 +120,6 @@ def judge(
 
 
 def unfounded(rule: Rule) -> RuleOutcome:
-    """The failed outcome of a rule that addresses what an incomplete result does not have."""
     return rule.outcome(None, False)
 
 
@@ -136,11 +127,12 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
     """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings
     expects that one.
     """
-    expected = {(rule.fit, rule.bound.removeprefix(ALSO)) for rule in rules if rule.item == "warnings"}
+    on_warnings = [rule for rule in rules if rule.item == "warnings"]
     codes: dict[str, str] = {}
     for fit in fits:
+        expected = {rule.bound.removeprefix(ALSO) for rule in on_warnings if _address(rule, [fit])}
         for finding in of_level(WARNING, fit.findings):
-            if finding.code in FORBIDDING and (fit.name, finding.code) not in expected:
+            if finding.code in FORBIDDING and finding.code not in expected:
                 codes.setdefault(f"{fit.name}.warnings: not {finding.code}", finding.code)
     return tuple(
         RuleOutcome(
@@ -155,7 +147,6 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
 
 
 def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
-    """The outcome of a rule on the record of a section other than the fits; None for a rule on fits."""
     for name, record in records.items():
         outcome = section(name).outcome
         if outcome is not None and rule.fit in names_of(name, record):
@@ -166,7 +157,6 @@ def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
 
 def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
     """The outcome of a rule that several limits hold at once, over all fits and comparisons it addresses.
-
     ConfigError at its place where it addresses what the result does not have.
     """
     numbers: list[deciding.Limited] = []
@@ -181,7 +171,6 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
 
 
 def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[deciding.Limited]:
-    """The numbers that one of several limits addresses."""
     comparisons = [
         record
         for records_of in records.values()
@@ -218,7 +207,6 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
 
 
 def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
-    """What a rule finds in its fits of one test."""
     if rule.item == "warnings":
         compared = [compare_warnings(rule, fit.findings) for fit in addressed]
     else:
@@ -233,9 +221,8 @@ def _judged_test(rule: Rule, addressed: list[Fit]) -> PartialOutcome:
 
 
 def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
-    """The outcome of a rule on all fits; ConfigError at its place where it addresses none.
-
-    A rule that cannot be judged in one of the tests is not kept.
+    """The outcome of a rule on all fits; ConfigError at its place where it addresses none. A rule that cannot
+    be judged in one of the tests is not kept.
     """
     if rule.item == "count" and partial.addressed:
         return rule.outcome(*compare_number(rule, float(partial.addressed), "1"))
@@ -285,10 +272,7 @@ def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compar
 
 
 def _having(rule: Rule, fits: list[Fit]) -> list[Fit]:
-    """The fits that have the parameter of the rule.
-
-    Of a calibration, only the first line has the linear range.
-    """
+    # Of a calibration, only the first line has the linear range.
     if rule.item in _FIT_VALUES:
         return fits
     name, _ = _split(rule.item, fits)
@@ -312,6 +296,11 @@ def _compare_item(rule: Rule, fit: Fit) -> deciding.Compared:
     return _compare_attribute(rule, fit.parameter(name), attribute)
 
 
+def _compare_parameter(rule: Rule, parameter: Parameter, compare: CompareNumber) -> deciding.Compared:
+    errors = deciding.stated_error(parameter), deciding.expanded_of(parameter)
+    return compare(rule, parameter.value, parameter.unit, *errors)
+
+
 def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deciding.Compared:
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
@@ -325,20 +314,14 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
     if attribute:
         what = f"'{parameter.name}' has no '{attribute}'"
         raise rule.fault(what, nearest(attribute, ("std_error", "expanded", "covers", "significant")))
-    return compare_number(rule, parameter.value, parameter.unit, deciding.stated_error(parameter))
-
-
-# Holding comparisons against rules: "name.amount", "name.amount.covers", ".std_error", ".expanded",
-# "name.verdict".
+    return _compare_parameter(rule, parameter, compare_number)
 
 
 def comparison_outcome(
     rule: Rule, comparisons: Sequence[Comparison], compare_number: CompareNumber
 ) -> RuleOutcome:
-    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. ConfigError for an
-    unknown item.
-
-    What could not be judged keeps no rule, and the outcome says why.
+    """The outcome of a rule on a comparison; *compare_number*: of rule, value, unit. What could not be judged
+    keeps no rule. ConfigError for an unknown item.
     """
     comparison = next(candidate for candidate in comparisons if candidate.name == rule.fit)
     if rule.item == "verdict":
@@ -371,4 +354,4 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
         raise rule.fault(f"the matrix has no '{rule.item}'", hint) from None
-    return rule.outcome(*compare_number(rule, amount.value, amount.unit, deciding.stated_error(amount)))
+    return rule.outcome(*_compare_parameter(rule, amount, compare_number))

@@ -34,9 +34,7 @@ PART_TESTS = 500
 
 def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
     """Whether the results of a pipeline are kept as a dataset; ConfigError where it is asked for and cannot
-    be.
-
-    *independent*: the fits that need no other one.
+    be. *independent*: the fits that need no other one.
     """
     if pipeline.results == "whole":
         return False
@@ -49,10 +47,7 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
 
 
 def advice(pipeline: Pipeline, independent: Sequence[str]) -> str:
-    """That a dataset would hold the results of so many tests in less memory.
-
-    Empty where there are few, or it cannot.
-    """
+    """That a dataset would hold so many tests in less memory; empty where there are few, or it cannot."""
     if pipeline.results == "dataset" or len(pipeline.tests) < MANY_TESTS or hindrance(pipeline, independent):
         return ""
     return (
@@ -76,11 +71,8 @@ def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
 
 
 class Gathered:
-    """The outcomes of tests as they come: rows go to parts of the dataset, what concerns all tests is summed
-    up.
-
-    Tests are taken in their order, whatever the order in which they end: the same results give the same
-    bytes.
+    """The outcomes of tests, taken in their order, whatever that in which they end: rows go to parts of the
+    dataset, what concerns all tests is summed up.
     """
 
     def __init__(self, jobs: Sequence[Job], output: OutputFolder) -> None:
@@ -93,7 +85,6 @@ class Gathered:
         self.summary = DatasetSummary()
 
     def add(self, done: Done) -> None:
-        """Take the outcome of a test."""
         self._output.remarks.extend(done.remarks)
         self._early[self._places[done.test]] = done
         while self._next in self._early:
@@ -107,7 +98,6 @@ class Gathered:
 
 
 def outcome_of(done: Done, test: Test) -> TestResult:
-    """The result of a test that ended, or why it has none."""
     if done.failed is not None:
         return failed_result(test, done.failed.message)
     assert done.result is not None
@@ -115,10 +105,7 @@ def outcome_of(done: Done, test: Test) -> TestResult:
 
 
 def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Identification:
-    """The result of all tests: identification.json, which sums the dataset up.
-
-    Parts of an earlier run that are no longer of it go.
-    """
+    """The result of all tests, which sums the dataset up; other parts in the folder go."""
     failed = gathered.summary.failed
     if failed and not gathered.summary.index.tests:
         raise DataError(
@@ -136,9 +123,8 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
 
 
 def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
-    """The result of many tests without the parts of its dataset.
-
-    ConfigError for a rule that addresses nothing where no test failed.
+    """The result of many tests without the parts of its dataset. ConfigError for a rule that addresses
+    nothing where no test failed.
     """
     return Identification(
         fits=(),
@@ -161,7 +147,6 @@ def settings_of_many(pipeline: Pipeline) -> dict[str, Any]:
 
 
 def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOutcome]:
-    """The outcome of every rule over all tests."""
     for rule, partial in zip(rules, summary.partial or (PartialOutcome(),) * len(rules), strict=True):
         try:
             yield whole_outcome(rule, partial)
@@ -172,7 +157,6 @@ def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOu
 
 
 def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
-    """Name what was found damaged in the folder, and have parts that are not of this result removed."""
     for part in parts(output.target):
         try:
             read_header(part.path, "")

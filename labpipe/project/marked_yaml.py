@@ -1,8 +1,6 @@
-"""YAML in which every key and value has its line and column; duplicate keys are refused.
-
-A parsed file is a tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list
-``list[Marked]``, a scalar the plain Python value. The tree is edited by ``--set`` and read by the
-configuration, which reports faults at the marks.
+"""YAML in which every key and value has its line and column; duplicate keys are refused. A parsed file is a
+tree of Marked nodes: a mapping is ``dict[str, Marked]`` in document order, a list ``list[Marked]``, a scalar
+the plain Python value. ``--set`` edits it.
 """
 
 from __future__ import annotations
@@ -16,6 +14,9 @@ from typing import Any
 import yaml
 
 from labpipe.errors import ConfigError, ConfigErrors
+
+# What stands for a file where an entry was set on the command line.
+SET = "--set"
 
 
 @dataclass
@@ -36,15 +37,17 @@ class Marked:
 
     @property
     def folder(self) -> Path:
-        """The folder of the file that it stands in."""
         return Path(self.where.rsplit(":", 2)[0]).parent
 
+    def folder_of(self, key: str) -> Path:
+        """The folder of the file that an entry stands in; of one by `--set`, which is no file, its own."""
+        entry: Marked = self.content[key]
+        return self.folder if entry.where.startswith(SET) else entry.folder
+
     def without(self, *keys: str) -> Marked:
-        """A mapping without these entries."""
         return replace(self, content={key: node for key, node in self.content.items() if key not in keys})
 
     def plain(self) -> Any:
-        """The node as ordinary dicts, lists and scalars."""
         if isinstance(self.content, dict):
             return {key: node.plain() for key, node in self.content.items()}
         if isinstance(self.content, list):
@@ -127,7 +130,6 @@ def parse_marked(text: str, name: str) -> Marked:
 
 @lru_cache(maxsize=32)
 def _compose(text: str) -> yaml.Node | None:
-    """The nodes of YAML *text*, which nobody changes."""
     return _Loader(text).get_single_node()
 
 
@@ -197,12 +199,11 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def set_entry(root: Marked, assignment: str) -> None:
-    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number.
-
-    ConfigError where it is impossible.
+    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number. ConfigError where it
+    is impossible.
     """
     path, equals, text = assignment.partition("=")
-    where = f"--set {assignment}"
+    where = f"{SET} {assignment}"
     if not equals or not path.strip():
         raise ConfigError("not an assignment", where, "write --set key.sub=value")
     value = _plain_or_yaml(text, where)
@@ -230,7 +231,7 @@ def _plain_or_yaml(text: str, where: str) -> Marked:
 
 
 def _keys(path: str) -> list[str]:
-    """The keys of a dotted path; rules under accept and expect are keys with dots themselves."""
+    # Rules are keys with dots themselves.
     section, _, rest = path.partition(".")
     return [section, rest] if section in ("accept", "expect") and rest else path.split(".")
 

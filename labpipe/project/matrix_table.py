@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.writing import write_table_csv
 from labpipe.errors import DataError
+from labpipe.project.exports import result_of
 from labpipe.quantities import to_display
 from labpipe.raw_files.table import load_extra
 from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_unit
@@ -33,15 +33,11 @@ def write_matrix_csv(artefact: Path, target: Path) -> None:
 
 
 def write_matrix_parquet(artefact: Path, target: Path) -> None:
-    """The same as Parquet."""
     matrix_table(_matrices(artefact)[1]).to_parquet(target, index=False)
 
 
 def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ...]]:
-    """A result and its matrices; DataError where it has none."""
-    if artefact.suffix != ".json":
-        raise DataError("holds no matrix of tests", artefact, "they stand in identification.json")
-    identification = read_identification(artefact)
+    identification = result_of(artefact, "holds no matrix of tests")
     matrices: tuple[ConditionMatrix, ...] = identification.sections.get("matrix", ())
     if not matrices:
         raise DataError("holds no matrix of tests", artefact, "the pipeline needs a section matrix:")
@@ -75,12 +71,10 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
 
 
 def write_rotor_xlsx(artefact: Path, target: Path) -> None:
-    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `speed` or `frequency` [rad/s], one
-    sheet each, as an Excel file.
-
-    Of every level of the other conditions: a sheet over the `speed` of the shaft with the coefficients at
-    whirl in step with it (synchronous), and one for every speed over the whirl `frequency`. DataError where
-    no condition is a speed, or coefficients are missing.
+    """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `speed` or `frequency` [rad/s], as
+    sheets of an Excel file: of every level of the other conditions one over the `speed` with the coefficients
+    at whirl in step with it (synchronous), and one for every speed over the whirl `frequency`. DataError
+    where no condition is a speed, or coefficients are missing.
     """
     load_extra("openpyxl", "excel", artefact)
     sheets = dict(rotor_sheets(*_matrices(artefact)))
@@ -99,7 +93,6 @@ def write_rotor_csv(artefact: Path, target: Path) -> None:
 def rotor_sheets(
     identification: Identification, matrices: tuple[ConditionMatrix, ...]
 ) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Name and table of every sheet."""
     number = 0
     for matrix in matrices:
         units = [condition_unit(axis.name, axis.unit) for axis in matrix.axes]
@@ -118,12 +111,12 @@ def rotor_sheets(
             speeds = [matrix.levels_of(point)[place] for point in points]
             courses = [_course(identification, matrix, point) for point in points]
             pairs = list(zip(speeds, courses, strict=True))
-            in_step = np.array([_at(course, np.array([speed]))[0] for speed, course in pairs])
-            table = _table("speed", 2 * np.pi * np.array(speeds), in_step, others)
+            in_step = [_coefficients(course, np.array([speed])) for speed, course in pairs]
+            table = _table("speed", np.array(speeds), np.concatenate(in_step), others)
             yield _sheet(number, "synchronous"), table
             for speed, course in pairs:
                 whirl = np.linspace(course[0][0], course[0][-1], N_WHIRL)
-                table = _table("frequency", 2 * np.pi * whirl, _at(course, whirl), others)
+                table = _table("frequency", whirl, _coefficients(course, whirl), others)
                 yield _sheet(number, f"{60 * speed:.0f} rpm"), table
 
 
@@ -137,9 +130,6 @@ Course = tuple[FloatArray, ComplexArray]
 
 
 def _course(identification: Identification, matrix: ConditionMatrix, point: MatrixPoint) -> Course:
-    """The mean course of the repeats at a point: that of the fitted models, or of K, C and M where fits hold
-    none.
-    """
     fits = [fit for fit in identification.fits if fit.name == matrix.fit and fit.test in point.tests]
     drawn = [detail.course for fit in fits for detail in fit.details if detail.course is not None]
     if drawn:
@@ -162,34 +152,28 @@ def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit
 
 
 def _square(point: MatrixPoint, letter: str) -> FloatArray:
-    """K, C or M (2, 2) [SI]; zero where the model has none."""
     values = [point.value(f"{letter}_{axes}") for axes in ("xx", "xy", "yx", "yy")]
     return np.array([0.0 if value is None else value.parameter.value for value in values]).reshape(2, 2)
 
 
 def _interpolate(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
-    flat = matrix.reshape(frequency.size, -1)
-    columns = [
-        np.interp(at, frequency, column.real) + 1j * np.interp(at, frequency, column.imag)
-        for column in flat.T
-    ]
+    columns = [np.interp(at, frequency, column) for column in matrix.reshape(frequency.size, -1).T]
     return np.asarray(np.stack(columns, axis=1).reshape(at.size, 2, 2))
 
 
-def _at(course: Course, frequency: FloatArray) -> ComplexArray:
-    """H (n, 2, 2) [N/m] at frequencies (n,) [Hz]; beyond the band that was measured, that of its end."""
-    return _interpolate(*course, frequency)
-
-
-def _table(over: str, omega: FloatArray, stiffness: ComplexArray, others: list[str]) -> pd.DataFrame:
-    """Rows over omega (n,) [rad/s], a column named *over*, of k = Re H and c = Im H / w, and the other
-    conditions in words.
-
-    ROSS takes either name for one axis up to version 2; from version 3 on `frequency` is that of the whirl
-    alone.
+def _coefficients(course: Course, frequency: FloatArray) -> FloatArray:
+    """k = Re H and c = Im H / w (n, 8) [SI] at frequencies (n,) [Hz]; beyond the band that was measured,
+    those of its end.
     """
-    flat, axes = stiffness.reshape(-1, 4).T, ("xx", "xy", "yx", "yy")
-    columns: dict[str, object] = {over: omega}
-    columns |= {f"k{pair}": course.real for pair, course in zip(axes, flat, strict=True)}
-    columns |= {f"c{pair}": course.imag / omega for pair, course in zip(axes, flat, strict=True)}
+    within = np.clip(frequency, course[0][0], course[0][-1])
+    stiffness = _interpolate(*course, within).reshape(-1, 4)
+    return np.hstack([stiffness.real, stiffness.imag / (2 * np.pi * within[:, None])])
+
+
+def _table(over: str, frequency: FloatArray, coefficients: FloatArray, others: list[str]) -> pd.DataFrame:
+    """Rows over 2 pi *frequency* (n,) [rad/s], a column named *over*, of *coefficients* (n, 8) [SI], and the
+    other conditions in words. ROSS takes either name for one axis up to version 2; from version 3 on
+    `frequency` is that of the whirl alone.
+    """
+    columns = {over: 2 * np.pi * frequency, **dict(zip(ROTOR_NAMES.values(), coefficients.T, strict=True))}
     return pd.DataFrame({**columns, "at": ", ".join(others)})

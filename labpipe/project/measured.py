@@ -42,8 +42,8 @@ from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA, FrfSettings
 
 ALIKE = "look for channels that are silent or alike"
 
-# The path of the reference to how files are described, which is no file.
-DESCRIPTION = "(entry under frfs)"
+# The paths of references to how files are described, and at what they were measured, which are no files.
+DESCRIPTION, CONDITIONS = "(entry under frfs)", "(conditions)"
 # The parameter of what was measured from raw files: their rigs. Its inputs then are the raw files, with paths
 # from the pipeline.
 RIGS = "rigs"
@@ -71,9 +71,7 @@ class MeasuredSource(SampleSource, Protocol):
 
     @property
     def path(self) -> Path: ...
-    def source_ref(self) -> SourceRef:
-        """The reference by which a result names it."""
-        ...
+    def source_ref(self) -> SourceRef: ...
 
 
 def measured_header(
@@ -83,9 +81,8 @@ def measured_header(
     test: str,
     conditions: dict[str, str] | None,
 ) -> Header:
-    """The header of what is measured from recordings.
-
-    Of raw ones with their rigs, which make them what they are.
+    """The header of what is measured from recordings. Of raw ones with their rigs, which make them what they
+    are.
     """
     frf = dataclasses.asdict(settings)
     parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
@@ -96,7 +93,6 @@ def measured_header(
 
 
 def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
-    """DataError for files of the same bytes in the same channels: they are one recording, no repeats."""
     seen: dict[Any, str] = {}
     for recording, ref in zip(recordings, header.inputs, strict=True):
         files = recording.header.inputs if isinstance(recording, StoredRecording) else (ref,)
@@ -107,7 +103,6 @@ def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
 
 
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
-    """The raw files behind recordings, for messages."""
     return ", ".join(
         recording.header.inputs[0].path
         if isinstance(recording, StoredRecording) and recording.header.inputs
@@ -130,8 +125,6 @@ MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
-    """What recordings give: the *name* of the kind in headers, how it is written and read."""
-
     name: str
     suffix: str
     write: Callable[[Path, Any, Header], None]
@@ -165,7 +158,6 @@ def _kind_of_file(path: Path) -> _Kind | None:
 
 
 def measured_file_name(test: str, settings: FrfSettings | None) -> str:
-    """The file name of a test's response, free decays or spectra."""
     return file_stem(test) + KINDS[RESPONSES if settings is None else settings.gives].suffix
 
 
@@ -180,7 +172,6 @@ def files_of_test(test: str) -> list[str]:
 
 
 def measured_files(folder: Path, test: str) -> list[Path]:
-    """What a folder of results holds of a test: its response, free decays or spectra."""
     return [path for name in files_of_test(test)[1:] if (path := folder / name).is_file()]
 
 
@@ -192,9 +183,8 @@ def measure_test(
     conditions: dict[str, str],
     seen: Callable[[], Sequence[Finding]] = tuple,
 ) -> MeasuredTest:
-    """What the recordings of a test give, made unless what is on disk is fresh.
-
-    LabpipeError names the recording. *seen*: what else was found in the raw files of a response.
+    """What the recordings of a test give, made unless what is on disk is fresh. LabpipeError names the
+    recording. *seen*: what else was found in the raw files of a response.
     """
     kind = KINDS[settings.gives]
     header = partial(measured_header, kind.name, recordings, settings, test, conditions)
@@ -220,9 +210,8 @@ def measure_test(
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """What labpipe measured, or a ready response of any other program.
-
-    Name and conditions of its test take the place of its own.
+    """What labpipe measured, or a ready response of any other program. Name and conditions of its test take
+    the place of its own.
     """
     kind = _kind_of_file(path)
     if kind is None or not path.is_file():

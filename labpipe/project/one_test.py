@@ -8,6 +8,7 @@ import dataclasses
 import datetime
 import errno
 import hashlib
+import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -31,6 +32,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.project.ingest import ingest, is_recording, raw_recording, recording_refs
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
+    CONDITIONS,
     RIGS,
     MeasuredTest,
     fits_file_name,
@@ -61,9 +63,8 @@ from labpipe.spectra.shaft import shaft_motion
 
 
 def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
-    """The fits and the response of one test from the files in the *folder* of the result.
-
-    ConfigError for a test that it does not have.
+    """The fits and the response of one test from the files in the *folder* of the result. ConfigError for a
+    test that it does not have.
     """
     rows = read_rows(folder)
     names = rows["test"].to_pylist()
@@ -89,10 +90,6 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
     )
 
 
-# What one test among many comes to, as the dataset of results holds it: its rows, and what the rules find
-# in it.
-
-# Condition of a test that says on which day it was run; by default that on which its file was last changed.
 DATE = "date"
 
 
@@ -105,9 +102,8 @@ def result_of_test(
     sources: Sequence[SourceRef],
     digest: str,
 ) -> TestResult:
-    """The result of a test from its *fits* and the *findings* of its measurement.
-
-    *sources* are its files, *digest* that of its fits.
+    """The result of a test from its *fits* and the *findings* of its measurement; *sources*: its files,
+    *digest*: of its fits.
     """
     partial = tuple(judged_part(rule, fits) for rule in rules)
     outcomes = forbidden(rules, fits)
@@ -131,7 +127,6 @@ def result_of_test(
 
 
 def failed_result(test: Test, message: str) -> TestResult:
-    """The result of a test that could not be evaluated, and why."""
     row = DatasetRow(**identity(test, test.conditions), failed=message)  # type: ignore[arg-type]
     return TestResult(rows=(row,))
 
@@ -142,16 +137,20 @@ def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
     return {"rig": rig, "date": day_of(test, conditions), "test": test.name, "conditions": dict(conditions)}
 
 
-def day_of(test: Test, conditions: Mapping[str, str]) -> str:
-    """The day of a test: its condition `date`, else that on which its first file was last changed, in UTC."""
+def stated_day(conditions: Mapping[str, str]) -> str:
+    """The day that the condition `date` states, ISO 8601; '' without one."""
     try:
         return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
     except ValueError:
-        return change_day(files_of(test)[0])
+        return ""
+
+
+def day_of(test: Test, conditions: Mapping[str, str]) -> str:
+    """The day of a test: its condition `date`, else that on which its first file was last changed, in UTC."""
+    return stated_day(conditions) or change_day(files_of(test)[0])
 
 
 def files_of(test: Test) -> list[Path]:
-    """The files that a test was recorded in, or its ready responses."""
     recorded = [path for source in test.recordings for path in source.paths]
     return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
 
@@ -169,9 +168,8 @@ def change_day(path: Path) -> str:
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:
-    """SHA-256 over the digests of a test's files, or that of the file where it is one.
-
-    Empty where none could be read.
+    """SHA-256 over the digests of a test's files, or that of the file where it is one. Empty where none could
+    be read.
     """
     digests = [source.sha256 for source in sources]
     if len(digests) <= 1:
@@ -190,12 +188,10 @@ def silent(_message: str) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """All that one test needs.
-
-    names: the file names of its calibrated recordings. fits: those that depend on no other fit. target: the
-    run's output folder; scratch: the run's folder for what is not finished. rules: of a run whose results are
-    kept as a dataset, by which the test is judged by itself; None for others. measured_before: its response
-    is there, by `labpipe frf`, and its recordings are not looked at.
+    """All that one test needs. names: the file names of its calibrated recordings. fits: those that depend on
+    no other fit. target: the run's output folder; scratch: for what is not finished. rules: by which the test
+    is judged by itself, for a dataset; None for others. measured_before: its response is there, by `labpipe
+    frf`.
     """
 
     test: Test
@@ -233,9 +229,7 @@ class Job:
 @dataclass(frozen=True)
 class Done:
     """How a test ended: the raw files behind it, or why it failed; what was found damaged and made again; its
-    *result* for a dataset.
-
-    halts: it failed by a fault of the machine that other tests will meet as well, such as a full disk.
+    *result* for a dataset. halts: by a fault of the machine that other tests will meet as well.
     """
 
     test: str
@@ -278,7 +272,6 @@ def brought(job: Job) -> Iterator[Job]:
 
 
 def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
-    """What went into the test, and its result for a dataset."""
     with output_folder(job.target, job.scratch, remarks) as output:
         sources = sources_before(job) if job.measured_before else measure(job, output)
     if job.fits:
@@ -288,7 +281,6 @@ def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResu
 
 
 def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> TestResult:
-    """What the finished test comes to, from its files."""
     fits, digest = fits_with_digest(job.target / job.fits_name) if job.fits else ([], "")
     conditions, findings = job.test.conditions, []
     if job.test.recordings:
@@ -311,9 +303,7 @@ def _ready_sources(job: Job) -> list[SourceRef]:
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
     """The test measured from its raw files as they are read; their references. None where they need a
-    calibrated recording, or where a fault was met.
-
-    Where a fault is met, the calibrated recording is made after all: its checks name the fault.
+    calibrated recording, or a fault was met: its checks name that.
     """
     if (
         job.frf is None
@@ -344,10 +334,6 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
 
 
 def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
-    """The test measured from calibrated recordings, made where they are not there.
-
-    The references of the raw files.
-    """
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
@@ -380,13 +366,27 @@ def _seen_in_files(job: Job) -> list[Finding]:
     return []
 
 
+def check_made_as_stated(path: Path, test: Test, frf: FrfSettings | None) -> None:
+    """DataError where what was measured of a test has other settings or conditions than it has now."""
+    made = header_of(path).parameters
+    now = json.loads(json.dumps(dataclasses.asdict(frf))) if frf else {}
+    # A key of `frf:` that is not there has its default.
+    then = {"frf": {**now, **made.get("frf", {})}, "conditions": made.get("conditions", {})}
+    for part, entries in (("frf", now), ("conditions", test.conditions)):
+        if other := [key for key, value in entries.items() if then[part].get(key) != value]:
+            what = f"was made with another {', '.join(other)} of `{part}:` than the pipeline has"
+            raise DataError(what, path, "run `labpipe frf` again")
+
+
 def sources_before(job: Job) -> tuple[SourceRef, ...]:
-    """The references of the raw files behind a response that is there, by the calibrated recordings beside
-    it, or else its own.
+    """The references of the raw files behind a response that is there, by its calibrated recordings, or else
+    its own.
     """
     path = job.target / job.measured_name
     if job.test.recordings and not path.exists():
         raise DataError("no such file", path, "run `labpipe frf` first, or `labpipe run` for all stages")
+    if job.test.recordings:
+        check_made_as_stated(path, job.test, job.frf)
     recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
     if job.test.recordings and RIGS in (header := header_of(path)).parameters:
         recorded = list(header.inputs)
@@ -398,7 +398,6 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
-    """What was measured of the test, and its ready responses."""
     measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
     test = job.test
     return [*measured, *(load_ready_measured(ready, test.name, test.conditions) for ready in test.frfs)]
@@ -414,6 +413,10 @@ def measured_refs(job: Job, output: OutputFolder) -> list[SourceRef]:
 def fit(job: Job, output: OutputFolder) -> None:
     """The independent fits of the test, made unless those on disk are fresh."""
     inputs = measured_refs(job, output)
+    if job.test.frfs and job.test.conditions:
+        # A response that is measured here holds them itself.
+        digest = hashlib.sha256(repr(job.test.conditions).encode()).hexdigest()
+        inputs.append(SourceRef(CONDITIONS, digest))
     path = output.read_path(job.fits_name)
     # With what the test says of several recordings, where it does.
     settings_of_test = tuple(with_repeats_of(settings, job.test.repeats) for settings in job.fits)
@@ -441,10 +444,9 @@ SCATTER_UNITS = {"degC": "K"}
 def recorded_conditions(
     recordings: Sequence[StoredRecording], recorded: Mapping[str, RecordedCondition]
 ) -> dict[str, str]:
-    """Every condition as text, "1000.2 N +- 3.1 N": its mean over all recordings, and the scatter of the
-    samples (of revolutions: speeds).
-
-    ConfigError for a channel that a recording lacks; DataError for a tacho without pulses.
+    """Every condition as text, "1000.2 N +- 3.1 N": mean over all recordings and scatter of the samples (of
+    revolutions: speeds). ConfigError for a channel that a recording lacks; DataError for a tacho without
+    pulses.
     """
     return {name: _text(*_amount(recordings, source)) for name, source in recorded.items()}
 
@@ -470,7 +472,6 @@ def _level(recording: StoredRecording, name: str) -> tuple[float, float, str]:
 
 
 def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of every channel, for a recording whose header does not state them."""
     names = [channel.name for channel in recording.channels]
     screen = ChannelScreen(names)
     for block in recording.blocks(READ_SAMPLES):

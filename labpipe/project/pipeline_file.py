@@ -50,20 +50,14 @@ class RepeatSettings(Settings):
 
     def __post_init__(self) -> None:
         if self.file and (self.parameter or self.size):
-            raise SettingError(
-                "file",
-                "'file' says which parameter scatters and by how much",
-                "leave 'parameter' and 'size' out",
-            )
+            what = "'file' says which parameter scatters and by how much"
+            raise SettingError("file", what, "leave 'parameter' and 'size' out")
         if not self.file and not (self.parameter and self.size):
-            raise ConfigError(
-                "'parameter' and 'size' are needed, or the 'file' of a repeatability test",
-                hint="parameter: k, size: 0.5 %",
-            )
+            what = "'parameter' and 'size' are needed, or the 'file' of a repeatability test"
+            raise ConfigError(what, hint="parameter: k, size: 0.5 %")
         if bool(self.file) != bool(self.comparison):
-            raise SettingError(
-                "comparison", "'file' and 'comparison' go together", "comparison: the name under `compare`"
-            )
+            hint = "comparison: the name under `compare`"
+            raise SettingError("comparison", "'file' and 'comparison' go together", hint)
 
 
 METHODS = ("first-order", "monte-carlo")
@@ -94,9 +88,8 @@ class UncertaintySettings(Settings):
         if not 0 < self.coverage < 1:
             raise SettingError("coverage", "'coverage' must lie between 0 and 100 %")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
-            raise SettingError(
-                "draws", "'draws' are of method monte-carlo", "method: monte-carlo, or leave it out"
-            )
+            hint = "method: monte-carlo, or leave it out"
+            raise SettingError("draws", "'draws' are of method monte-carlo", hint)
 
     def of(
         self, fit: FitSettings, stated: Container[str], repeats: tuple[RepeatSource, ...] = ()
@@ -129,9 +122,8 @@ def read_uncertainty(node: Marked, faults: Faults) -> Callable[..., FitSettings]
 def _known(name: str, settings: RepeatSettings) -> RepeatSource:
     size, _, _ = settings.size.partition("(")
     if not size.strip().endswith("%"):
-        raise UnitError(
-            f"'{settings.size}' is not relative to the parameter", "for example 0.5 %, or 0.5 % (dof=4)"
-        )
+        what = f"'{settings.size}' is not relative to the parameter"
+        raise UnitError(what, "for example 0.5 %, or 0.5 % (dof=4)")
     number = parse_uncertain(f"1 +- {settings.size}", "1")
     return RepeatSource(name, settings.parameter, number.std_error, settings.per, number.dof)
 
@@ -163,9 +155,8 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
             name, parameter, abs(amounts["between"] / amounts["mean"]), settings.per, float(len(groups) - 1)
         )
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
-        raise UnitError(
-            f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
-        ) from None
+        what = f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
+        raise UnitError(what) from None
 
 
 def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings | None:
@@ -197,9 +188,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
 
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
-    """The entries with the settings of a model that needs no section, where they stand in the fit itself,
-    moved into its section.
-    """
+    """The entries of a fit, with the settings of a model that needs no section moved into its section."""
     model = entries["model"].text if "model" in entries else ""
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:
@@ -215,9 +204,8 @@ def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
-    """(model, key) of a model's section among the entries of a fit.
-
-    Other models are loaded for a key that no fit has without them.
+    """(model, key) of a model's section among the entries of a fit. Other models are loaded for a key that no
+    fit has without them.
     """
     if "model" not in entries:
         return None
@@ -235,9 +223,8 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
-    """The settings of a comparison.
-
-    Faults for a name that a fit has, for another kind's section, and for a fit that is not there.
+    """The settings of a comparison. Faults for a name that a fit has, for another kind's section, and for a
+    fit that is not there.
     """
     faults = reading.faults
     if name in reading.names:
@@ -272,7 +259,6 @@ OfFit = TypeVar("OfFit", CompareSettings, MatrixSettings)
 
 
 def _of_a_fit(settings: OfFit | None, node: Marked, key: str, reading: Reading) -> OfFit | None:
-    """The settings, and a fault for a fit that is not there."""
     if settings is not None and settings.fit and settings.fit not in reading.names:
         hint = nearest(settings.fit, reading.names)
         reading.faults.add_at(node.content, key, "fit", f"there is no fit '{settings.fit}'", hint)
@@ -303,10 +289,8 @@ class ReportSettings(Settings):
 @dataclass(frozen=True)
 class Pipeline:
     """A pipeline file with everything it names; *sections*: settings by the key of their section, in the
-    order in which they are run.
-
-    The settings of a section with named entries are a tuple, of others one dataclass. *results*: how those of
-    many tests are kept.
+    order in which they are run, a tuple for named entries, else one dataclass. *results*: how those of many
+    tests are kept.
     """
 
     path: Path
@@ -331,7 +315,6 @@ class Pipeline:
 
     @property
     def fits(self) -> tuple[FitSettings, ...]:
-        """The fits in their order."""
         return tuple(self.sections.get("identify", ()))
 
     @property
@@ -345,22 +328,19 @@ class Pipeline:
 
 
 def section_names() -> tuple[str, ...]:
-    """Every key that a pipeline file may have."""
     return (*BEFORE, *SECTIONS.names(), *AFTER)
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a pipeline file, its rig files read along.
-
-    ConfigErrors with every fault of all files at its place.
+    """The pipeline of a pipeline file, its rig files read along. ConfigErrors with every fault of all files
+    at its place.
     """
     return _load(path, overrides, TestReader.tests)
 
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
-    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes.
-
-    Errors as of `load_pipeline`.
+    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes. Errors
+    as of `load_pipeline`.
     """
     per_file: list[EachFile] = []
 
@@ -378,7 +358,6 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
 
 def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     """The pipeline of a test that is followed while it runs: its recordings are not read, its rig file is.
-
     Errors as of `load_pipeline`.
     """
 
@@ -396,14 +375,12 @@ def _load(
     entries = faults.mapping(tree, "")
     if entries:
         faults.unknown_keys(tree, "", section_names())
-    rig = read_rig(entries.get("rig"), path.parent, faults, "rig")
-    tests = tests_of(TestReader(entries, path.parent, rig, faults))
+    rig = read_rig(entries.get("rig"), faults, "rig")
+    tests = tests_of(TestReader(entries, rig, faults))
     frf = read_settings(FrfSettings, entries["frf"], "frf", faults) if "frf" in entries else None
-    report = (
-        read_settings(ReportSettings, entries["report"], "report", faults)
-        if "report" in entries
-        else ReportSettings()
-    )
+    report: ReportSettings | None = ReportSettings()
+    if "report" in entries:
+        report = read_settings(ReportSettings, entries["report"], "report", faults)
     settings, names = _sections(entries, rig, faults)
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
@@ -418,9 +395,8 @@ def _load(
     # Of files written before: by the number of tests.
     results = "whole" if results == "auto" else results
     if results not in RESULTS:
-        faults.add_at(
-            entries, "", "results", f"no way '{results}' to keep results", nearest(results, RESULTS)
-        )
+        what = f"no way '{results}' to keep results"
+        faults.add_at(entries, "", "results", what, nearest(results, RESULTS))
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
     faults.raise_any()
@@ -441,7 +417,6 @@ def _load(
 def _sections(
     entries: dict[str, Marked], rig: Rig | None, faults: Faults
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The settings of every section that the file has, and the names by which rules address them."""
     settings: dict[str, Any] = {}
     names: tuple[str, ...] = ()
     for name, entry in sections(entries):
@@ -472,7 +447,6 @@ def _read_entry(node: Marked, key: str, name: str, entry: PipelineSection, readi
 def _check_whole(
     tree: Marked, entries: dict[str, Marked], tests: tuple[Test, ...], frf: FrfSettings | None, faults: Faults
 ) -> None:
-    """Faults of the file as a whole: no work, missing sections, entries beside `tests:`."""
     for key in SINGLE:
         if key in entries and "tests" in entries:
             faults.add_at(entries, "", key, "has no effect beside tests:", "write it in each test")
@@ -486,9 +460,8 @@ def _check_whole(
     if "study" in entries and not (entries["identify"].content if "identify" in entries else None):
         faults.add(entries["study"], "study", "there is nothing to study", "name fits under identify")
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
-        faults.add(
-            tree, "frf", "is missing", "state excitation and period or block, from which FRFs are computed"
-        )
+        hint = "state excitation and period or block, from which FRFs are computed"
+        faults.add(tree, "frf", "is missing", hint)
 
 
 def _check_kinds(
@@ -498,7 +471,6 @@ def _check_kinds(
     frf: FrfSettings | None,
     faults: Faults,
 ) -> None:
-    """Faults of fits whose model is not of what the recordings give: free decays, spectra or responses."""
     if frf is None:
         return
     kinds = {test.name: (test.frf or frf).gives for test in tests if test.recordings}

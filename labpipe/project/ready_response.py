@@ -55,9 +55,8 @@ def is_response(path: Path) -> bool:
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
-    """A ready response: labpipe's own file, or another program's.
-
-    Name and conditions of its test take the place of its own.
+    """A ready response: labpipe's own file, or another program's. Name and conditions of its test take the
+    place of its own.
     """
     if path.is_dir():
         raise DataError("is a folder, a file is needed", path)
@@ -78,7 +77,6 @@ OWN_LAYOUT = ("lacks the variable", f"no column '{FREQUENCY}'", "no columns 'out
 
 
 def _other_layouts(path: Path, hint: str | None) -> str:
-    """What was tried beside labpipe's own layout, and what it missed, or how its FRF is described."""
     try:
         guessed = guessed_frf(path)
     except DataError:
@@ -126,7 +124,6 @@ def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyRespo
 
 
 def _rename(ports: tuple[Port, ...], dofs: tuple[str, ...], word: str, path: Path) -> tuple[Port, ...]:
-    """The ports under the dofs of the entry, if it gives any."""
     if dofs and len(dofs) != len(ports):
         raise DataError(f"has {len(ports)} {word}, {len(dofs)} are named ({', '.join(dofs)})", path)
     return tuple(map(port_of, dofs)) or ports

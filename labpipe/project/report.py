@@ -27,9 +27,7 @@ _STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{
 
 def drawn_from(result: Path, code: str = "") -> str:
     """What the report of a result file depends on, as a digest: its content and the code that draws, by
-    default that of this build.
-
-    Empty where it carries no digest.
+    default of this build; empty where it carries none.
     """
     with result.open("rb") as stream:
         match = _RESULT.search(stream.read(4096))
@@ -37,9 +35,8 @@ def drawn_from(result: Path, code: str = "") -> str:
 
 
 def stamp(content: bytes, source: str, report_format: str) -> bytes:
-    """The bytes of a report with its last line.
-
-    As they are without a *source* or for a format that has no comments.
+    """The bytes of a report with its last line. As they are without a *source* or for a format that has no
+    comments.
     """
     if not source or report_format not in COMMENTS:
         return content
@@ -91,10 +88,8 @@ def write_report(
     figures: Path | None = None,
     results: Path | None = None,
 ) -> None:
-    """Write the report of an identification; the format follows from the file's ending. *figures*: a folder
-    for them as files.
-
-    *results*: the folder that the result was read from, by default that of the report.
+    """Write the report of an identification; the format follows from the ending. *figures*: a folder for them
+    as files. *results*: the folder of the result, by default that of the report.
     """
     name, folder = report_format or format_of(path), results or path.parent
     files = {} if figures is None else _figures_of(identification, folder)
@@ -126,9 +121,8 @@ def _write_document(document: Any, path: Path, figures: Path | None) -> None:
 
 
 def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
-    """Reports of an earlier result go where a new one is about to take its place, also those of formats that
-    are not drawn now: no report contradicts the result. What was edited or signed since stays until it is
-    drawn anew.
+    """Reports of an earlier result go where a new one is about to take its place, whatever their format; what
+    was edited or signed since stays until it is drawn anew.
     """
     if not (folder.staging / NAME).exists():
         return
@@ -141,10 +135,8 @@ def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
 def write_reports(
     identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]
 ) -> None:
-    """Draw the reports of a result into its folder, where it lies already: drawing that is cut short costs
-    the report and nothing else.
-
-    A report that was drawn from this very result, and is whole, stays as it is.
+    """Draw the reports of a result into its folder, where it lies already. One that was drawn from this very
+    result, and is whole, stays as it is.
     """
     source = drawn_from(target / NAME)
     stale = [name for name in formats if not is_drawn(target / f"report.{name}", source)]
@@ -159,7 +151,6 @@ def write_reports(
 
 
 def _draw(identification: Identification, folder: Path, report_format: str) -> bytes:
-    """The report as a file's bytes; of a result of many tests, whose *folder* holds them, their summary."""
     if identification.dataset is None:
         content: bytes = _renderer("RENDERERS", report_format)(identification)
     else:
@@ -204,7 +195,6 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
 
 
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
-    """Report and figures, all or none."""
     if figures is not None and figures.exists() and not figures.is_dir():
         raise DataError("is a file, a folder is needed", figures)
     with ExitStack() as outputs:

@@ -11,12 +11,12 @@ from labpipe.errors import ConfigError
 from labpipe.project import calibrations
 from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
 from labpipe.project.marked_yaml import Marked, load_marked
-from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import FileKind, Settings, Uncertainties, setting
+from labpipe.records.settings import FileKind, Settings, Uncertainties, quantity, setting
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -35,18 +35,15 @@ class RigSettings(Settings):
 
     name: str = setting("text", "name of the rig, as the report shows it", default="")
     description: str = setting("text", "what a reader should know of the rig", default="")
-    sample_rate: float | None = setting(
-        "value", "sampling rate, where no time column or file gives it", unit="Hz", default=None
-    )
+    sample_rate: float | None = quantity("sampling rate, where no time column or file gives it", "Hz", None)
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
-    resample: float | None = setting(
-        "value",
+    resample: float | None = quantity(
         "rate to which channels at several rates of one file (MDF, LVM) are brought, by cubic splines: that "
         "of the fastest used, or more",
-        unit="Hz",
-        default=None,
+        "Hz",
+        None,
     )
-    mass: float | None = setting("value", "mass that moves with the response", unit="kg", default=None)
+    mass: float | None = quantity("mass that moves with the response", "kg", None)
     uncertainties: Uncertainties = ()
 
 
@@ -106,23 +103,22 @@ def load_rig(path: Path, overrides: Iterable[str] = ()) -> Rig:
 def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Rig | None:
     """The rig of *path* in which a recording's own ``channels:`` entries take the place of the rig file's."""
     tree = load_marked(path)
-    channels = tree.content.get("channels") if isinstance(tree.content, dict) else None
-    written = channels.content if channels is not None and isinstance(channels.content, dict) else {}
+    top = tree.content if isinstance(tree.content, dict) else {}
+    parts = [top[part].content for part in ("channels", "derived") if part in top]
+    written = {name: part for part in parts if isinstance(part, dict) for name in part}
     for name, node in faults.mapping(entry, key).items():
         own = faults.mapping(node, join(key, name))
         if name not in written:
             hint = nearest(name, written)
             faults.add(node, join(key, name), "the rig has no such channel", hint)
-        elif isinstance(written[name].content, dict):
-            written[name] = replace(written[name], content={**written[name].content, **own})
+        elif isinstance((there := written[name][name]).content, dict):
+            written[name][name] = replace(there, content={**there.content, **own})
     return read_rig(tree, faults)
 
 
 def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
-    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only channel of
-    that role.
-
-    ConfigError for a name that is no channel of the rig.
+    """The rig with channels in other dofs, by channel; `output` and `input` stand for the only one of that
+    role. ConfigError for a name that is no channel.
     """
     places: dict[str, str] = {}
     names = [channel.name for channel in rig.all_channels]
@@ -160,23 +156,17 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
                 faults.add_at(entries, "", name, "must be positive")
     if len(faults) > before or settings is None:
         return None
+    same = ("name", "description", "sample_rate", "time", "resample", "mass")
     return Rig(
-        name=settings.name,
         channels=tuple(channels),
-        sample_rate=settings.sample_rate,
-        time=settings.time,
-        mass=settings.mass,
-        description=settings.description,
         derived=derived,
         mass_uncertainty=dict(settings.uncertainties).get("mass"),
-        resample=settings.resample,
+        **{name: getattr(settings, name) for name in same},
     )
 
 
 def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | None:
-    """The channels, with those under ``derived:``, whose sums are listed: {sum: {f: 1, a: -30 kg +- 0.1 kg},
-    quantity: force}.
-    """
+    """The channels, with sums under ``derived:``: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force}."""
     channels = entries.get("channels")
     if channels is None or "derived" not in entries or not isinstance(channels.content, dict):
         return channels
@@ -191,7 +181,8 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
             what = "a mapping of channels to factors is needed"
             faults.add(listed or node, join(key, "sum"), what, "sum: {f: 1, a: -30 kg +- 0.1 kg}")
         else:
-            text = " + ".join(f"{factor.text} * {member}" for member, factor in listed.content.items())
+            factors = {member: in_one_line(factor).text for member, factor in listed.content.items()}
+            text = " + ".join(f"{factor} * {member}" for member, factor in factors.items())
             as_text = replace(listed, content=text, text=text)
             together[name] = replace(node, content={**node.without("sum").content, "derived": as_text})
     return replace(channels, content=together)
@@ -204,11 +195,8 @@ def _read_channels(
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
     entries = faults.mapping(node, "channels")
-    sums = {
-        name: entry
-        for name, entry in entries.items()
-        if isinstance(entry.content, dict) and "derived" in entry.content
-    }
+    mappings = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict)}
+    sums = {name: entry for name, entry in mappings.items() if "derived" in entry.content}
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
     derived = _read_sums(sums, entries, read_constants(constants, entries, faults), channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
@@ -245,10 +233,7 @@ def _read_sums(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> tuple[Channel, ...]:
-    """The channels that are sums of others, written out in recorded channels.
-
-    A channel that could not be read is no second fault.
-    """
+    """The channels that are sums, written out in recorded channels."""
     quantities = {
         name: entry.content["quantity"].text
         for name, entry in entries.items()
@@ -257,21 +242,19 @@ def _read_sums(
         and entry.content["quantity"].text in QUANTITIES
     }
     reader = SumReader(quantities, constants)
-    settings = {
-        name: read_settings(ChannelSettings, entry, join("channels", name), faults)
-        for name, entry in sums.items()
-    }
+    settings: dict[str, ChannelSettings] = {}
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():
         for key in RECORDED_ONLY:
             if key in entry.content:
                 what = "belongs to a recorded channel, this is a sum"
                 faults.add_at(entry.content, join("channels", name), key, what, "leave it out")
-        setting = settings[name]
-        if setting is None:
+        read = read_settings(ChannelSettings, entry, join("channels", name), faults)
+        if read is None:
             continue
+        settings[name] = read
         try:
-            terms[name] = reader.terms(setting.derived, name)
+            terms[name] = reader.terms(read.derived, name)
         except UnitError as error:
             faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
     names = {*terms, *(channel.channel.name for channel in recorded)}
@@ -283,17 +266,15 @@ def _read_sums(
 def _sum_channel(
     name: str,
     entry: Marked,
-    settings: ChannelSettings | None,
+    settings: ChannelSettings,
     sums: dict[str, tuple[Term, ...]],
     recorded: list[RigChannel],
     faults: Faults,
 ) -> Channel | None:
-    """A sum with the delay and response that all its members have.
-
-    None where they differ, which the FRF refuses.
+    """A sum with the delay and response that all its members have. None where they differ, which the FRF
+    refuses.
     """
     key = join("channels", name)
-    assert settings is not None
     try:
         terms = expand(sums, name)
     except UnitError as error:
@@ -303,20 +284,25 @@ def _sum_channel(
     members = [by_name[term.channel] for term in terms if term.channel in by_name]
     chains = {(member.delay, member.response) for member in members}
     delay, response = chains.pop() if len(chains) == 1 else (0.0, ())
+    if split_uncertainty(settings.dof)[1]:
+        what = "a sum has no uncertainty of its direction"
+        faults.add_at(entry.content, key, "dof", what, "state it at the channels that are summed")
     dof, angle = _direction(settings.dof or name, entry, key, faults)
     member = any(term.channel == name for other in sums.values() for term in other)
     role = settings.role or ("reference" if member else DEFAULT_ROLES.get(settings.quantity, "reference"))
-    return Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
+    channel = Channel(name, settings.quantity, role, dof, angle, delay, response, terms)
+    return replace(channel, position=settings.position)
 
 
 def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, calibrations.Certified | None]:
-    """A channel with the number of its certificate in the place of the reference to it, and what else the
-    certificate states; None without one.
+    """A channel with the number of its certificate in place of the reference to it, and what else that
+    states.
     """
     entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
     if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:
         return node, None
-    certified = calibrations.certified_sensitivity(entry, join(key, "sensitivity"), faults)
+    folder = node.folder_of("sensitivity")
+    certified = calibrations.certified_sensitivity(entry, folder, join(key, "sensitivity"), faults)
     if certified is None:
         return node, None
     if certified.response and "response" in node.content:
@@ -338,15 +324,9 @@ def _read_channel(name: str, node: Marked, key: str, faults: Faults) -> RigChann
     limits = _limits(settings, node, key, faults)
     dof, angle = _direction(split_uncertainty(settings.dof)[0] or name, node, key, faults)
     response = _response(settings, node, key, faults) or (certified.response if certified else ())
-    written = calibrations.Written(
-        name,
-        node,
-        settings.sensitivity,
-        settings.dof,
-        settings.uncertainties,
-        settings.uncertainty,
-        certified.uncertainties if certified else (),
-    )
+    chain, of_certificate = settings.uncertainty, certified.uncertainties if certified else ()
+    texts = settings.sensitivity, settings.dof
+    written = calibrations.Written(name, node, *texts, settings.uncertainties, chain, of_certificate)
     # Of a number that cannot be read there is one fault, not a second one of its uncertainty.
     uncertainties = calibrations.channel_uncertainties(written, key, faults) if len(faults) == before else ()
     if len(faults) > before:
@@ -377,7 +357,7 @@ def _response(
     if not settings.response:
         return ()
     try:
-        return calibrations.read_sensor_response(node.folder / settings.response)
+        return calibrations.read_sensor_response(node.folder_of("response") / settings.response)
     except UnitError as error:
         faults.add_unit(node.content["response"], join(key, "response"), error)
         return ()
@@ -404,12 +384,11 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
 
 
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
-    """Recorded SI unit per SI unit of the quantity.
-
-    "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a calibration.
+    """Recorded SI unit per SI unit of the quantity. "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a
+    calibration.
     """
     if "#" in text:
-        slope = calibrations.calibrated_slope(text, node.folder)
+        slope = calibrations.calibrated_slope(text, node.folder_of("sensitivity"))
         text = f"{slope.value!r} {slope.unit}"
     match = re.match(r"^\s*(\S+)\s+(.+)$", text)
     if match is None:

@@ -43,10 +43,10 @@ DECISION_KEYS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """How is decided on limits. *low*, *high*: as they are written, empty where that side is open; *rule*:
-    one of DECISIONS; *risk* [1]; *guard*: the guard band of each limit over the expanded uncertainty [1],
-    None where it follows from the risk; *process*: mean and standard deviation of what is made as they are
-    written, empty where not stated; *outcomes*: those with which the rule holds.
+    """How is decided on limits. *low*, *high*: as written, empty where that side is open; *rule*: one of
+    DECISIONS; *risk* [1]; *guard*: the guard band of each limit over the expanded uncertainty [1], None where
+    it follows from the risk; *process*: mean and standard deviation of what is made, as written; *outcomes*:
+    those with which the rule holds.
     """
 
     low: str = ""
@@ -59,7 +59,6 @@ class Decision:
 
     @property
     def limits_text(self) -> str:
-        """The limits as people write them."""
         if self.low and self.high:
             return f"{self.low} to {self.high}"
         return f">= {self.low}" if self.low else f"<= {self.high}"
@@ -76,12 +75,10 @@ class Decision:
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance),
-    '=' (a word or flag), or 'limits' with a *decision*; or the rules *together* must, by one decision.
-
-    *which* selects among fits of one name: a test's name or the centre of a sliding band ("72.5 Hz"). *bound*
-    is the text behind the comparison, read in the unit of what it is compared with; *place* is where the rule
-    stands.
+    """``fit[which].item`` must satisfy *kind*: a comparison (>=, <=, >, <), '+-' (value and tolerance), '='
+    (a word or flag), or 'limits' with a *decision*; or the rules *together* must. *which*: a test's name or
+    the centre of a sliding band ("72.5 Hz"). *bound*: the text behind the comparison, in the unit of what it
+    is compared with; *place*: where the rule stands.
     """
 
     section: str
@@ -111,7 +108,6 @@ class Rule:
 
     @property
     def text(self) -> str:
-        """The rule as people read it."""
         if self.decision is not None:
             within = " and ".join(rule.bound for rule in self.together) or self.bound
             return f"{self.address}: {within} ({self.decision.manner_text})"
@@ -152,7 +148,6 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
 def _match(
     address: str, entry: Marked, key: str, faults: Faults, fits: tuple[str, ...]
 ) -> re.Match[str] | None:
-    """The parts of an address; None and a fault for one that the pipeline does not have."""
     match = _ADDRESS.match(address)
     if match is None:
         faults.add(entry, key, "is not an address", "write fit.parameter, for example direct.k")
@@ -169,7 +164,6 @@ def _match(
 def _decide(
     section: str, address: str, entry: Marked, match: re.Match[str], faults: Faults
 ) -> tuple[Rule, ...]:
-    """The rule with limits on one number; none and faults where it cannot be read."""
     key = f"{section}.{address}"
     decision = _read_decision(entry, key, faults)
     if match["item"].rpartition(".")[2] in (*WORDS, "covers"):
@@ -186,7 +180,6 @@ def _decide(
 def _together(
     section: str, address: str, entry: Marked, faults: Faults, fits: tuple[str, ...]
 ) -> tuple[Rule, ...]:
-    """The rule that several limits hold at once; none and faults where it cannot be read."""
     key = f"{section}.{address}"
     before = len(faults)
     for name in ("limits", "min", "max", "guard", "process"):
@@ -215,7 +208,6 @@ def _together(
 
 
 def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
-    """How is decided; None and faults where it cannot be read."""
     before = len(faults)
     faults.unknown_keys(entry, key, DECISION_KEYS)
     nodes = entry.content
@@ -250,7 +242,6 @@ def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
 
 
 def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
-    """The limits as texts, empty where a side is open."""
     nodes = entry.content
     if "limits" in nodes and ("min" in nodes or "max" in nodes):
         faults.add_at(nodes, key, "limits", "limits are given twice", "leave min and max out")
@@ -278,14 +269,12 @@ def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
 
 
 def _amount(text: str) -> tuple[float, Any]:
-    """A number in SI with its dimension."""
     written = written_unit(text) or "1"
     unit = parse_unit(written)
     return parse_value(text, written) * unit.factor + unit.offset, unit.dimension
 
 
 def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[float, float]) -> float | None:
-    """A number between two others; None where none is given or it cannot be read."""
     if node is None:
         return None
     try:
@@ -299,7 +288,6 @@ def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[fl
 
 
 def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, ...]:
-    """The outcomes with which a rule holds: one, or a list of them."""
     if node is None:
         return (PASS,)
     texts = [entry.text for entry in listed(node)]
@@ -311,11 +299,7 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
     return tuple(outcome for outcome in OUTCOMES if outcome in texts)
 
 
-# Rules as texts.
-
-
 def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]:
-    """The texts of an entry: one, or a list of which all must hold."""
     what = item.rpartition(".")[2]
     nodes = listed(entry)
     if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
@@ -335,14 +319,12 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]
 
 
 def _spelling(code: str) -> str:
-    """The hint for a misspelt warning; empty for what is none of labpipe's, which may be a plug-in's."""
     hint = "" if code in _warnings() else nearest(code, _warnings())
     return hint if hint.startswith("did you mean") else ""
 
 
 @cache
 def _warnings() -> tuple[str, ...]:
-    """The codes of labpipe's findings, one a line, and the word for no warning."""
     lines = files("labpipe.records").joinpath("warnings.yaml").read_text("utf-8").splitlines()
     return ("none", *(line.partition(":")[0] for line in lines if not line.startswith("#")))
 

@@ -1,7 +1,5 @@
-"""A whole pipeline: the stages in their order, what is fresh left as it is.
-
-A single test is all or nothing. Of several tests each is all or nothing: one that fails is named and the
-others are finished.
+"""A whole pipeline: the stages in their order, what is fresh left as it is. A test is all or nothing; of
+several tests one that fails is named and the others are finished.
 """
 
 from __future__ import annotations
@@ -35,9 +33,8 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class Manner:
-    """How a run is done, which does not change its results.
-
-    *execute* does the jobs of several tests; *processes*: for a study, 0 for one per processor.
+    """How a run is done, which does not change its results. *execute* does the jobs of several tests;
+    *processes*: for a study, 0 for one per processor.
     """
 
     tell: one_test.Tell = one_test.silent
@@ -81,10 +78,8 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
 
 
 def run_only(pipeline: Pipeline, target: Path, test: str, manner: Manner) -> one_test.Done:
-    """One test of several up to its fits, into the folder that a run of all of them goes on from; ConfigError
-    for a test that there is not.
-
-    Several tests may be worked on at once, each by its own process, as schedulers of jobs do.
+    """One test of several up to its fits, into the folder that a run of all of them goes on from; several may
+    be worked on at once, as schedulers of jobs do. ConfigError for a test that there is not.
     """
     names = [declared.name for declared in pipeline.tests]
     if test not in names or len(names) < MANY:
@@ -111,7 +106,6 @@ def _run_many(
     *,
     measured_before: bool = False,
 ) -> Identification:
-    """All stages of so many tests that their results are kept as a dataset, or those after the responses."""
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules)
         jobs = [replace(job, measured_before=measured_before) for job in jobs]
@@ -125,9 +119,8 @@ def _run_many(
 def measure_tests(
     pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
 ) -> Measured:
-    """ingest and frf of every test, and of several tests the fits named in *fits*.
-
-    Ready responses are read as they are.
+    """ingest and frf of every test, and of several tests the fits named in *fits*. Ready responses are read
+    as they are.
     """
     with staging_folder(existing_home(output.target)) as scratch:
         jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) >= MANY else ())
@@ -166,10 +159,6 @@ def _jobs(
     fits: Sequence[str],
     rules: tuple[Rule, ...] | None = None,
 ) -> list[one_test.Job]:
-    """One job for each test.
-
-    ConfigError when two would write the same file, or a fit names a test that there is not.
-    """
     file_stems([test.name for test in pipeline.tests], "tests", pipeline.path)
     test_names = [
         name
@@ -199,7 +188,6 @@ def _jobs(
 
 
 def _outcomes(jobs: Sequence[one_test.Job], manner: Manner) -> Iterator[one_test.Done]:
-    """Outcomes of the jobs as they end; DataError when the user interrupts them."""
     count = 0
     try:
         for outcome in manner.execute(one_test.work, jobs):

@@ -1,9 +1,7 @@
-"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line for
-each run.
-
-It is begun once for a folder, and every run whose results lie in or below it adds a line. A line holds the
-digest of the line before, so that a line that was changed, removed or put in shows, and the digest of its
-result, so that a result shows that no run made. It is beside the artefacts, which hold no clock.
+"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line for each
+run whose results lie in or below it. A line holds the digest of the line before, so that a line that was
+changed, removed or put in shows, and the digest of its result, so that a result shows that no run made. It is
+beside the artefacts, which hold no clock.
 """
 
 from __future__ import annotations
@@ -41,8 +39,8 @@ PATIENCE = 20.0
 @dataclass(frozen=True, kw_only=True)
 class Run:
     """A line of the record. *result*: the identification.json, relative to the record, and its *digest*;
-    *inputs*: paths and digests of what it was made from; *results*: of the first line, the digests of results
-    that were there already; *previous*: digest of the line before.
+    *inputs*: paths and digests of what it was made from; *results*: of the first line, digests of results
+    that were there; *previous*: digest of the line before.
     """
 
     number: int
@@ -60,7 +58,6 @@ class Run:
 
     @property
     def line(self) -> bytes:
-        """The line as it stands in the file."""
         return (json.dumps(asdict(self), ensure_ascii=False) + "\n").encode()
 
 
@@ -84,9 +81,8 @@ def record_of_runs(folder: Path) -> Path | None:
 
 @contextmanager
 def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
-    """Record a run with results in a folder: of what the caller puts into the list, or as failed.
-
-    Nothing where no record was begun.
+    """Record a run with results in a folder: of what the caller puts into the list, or as failed. Nothing
+    where no record was begun.
     """
     made: list[Identification] = []
     try:
@@ -144,7 +140,6 @@ def _next(runs: Sequence[Run], previous: str, **entries: object) -> Run:
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[None]:
-    """One process at a time; DataError where another one holds the record for too long."""
     end = time.monotonic() + PATIENCE
     with ExitStack() as stack:
         while True:
@@ -158,16 +153,12 @@ def _lock(folder: Path) -> Iterator[None]:
         yield
 
 
-# Reading and verifying.
-
-
 def runs_of(path: Path) -> list[Run]:
     """The runs of a record, whether or not its chain holds; DataError for a line that is none."""
     return _read(path)[0]
 
 
 def _read(path: Path) -> tuple[list[Run], str]:
-    """The runs of a record, and the digest of its last line."""
     runs: list[Run] = []
     digest = NOTHING
     for number, line in enumerate(path.read_bytes().splitlines(keepends=True), 1):
@@ -183,8 +174,8 @@ def _read(path: Path) -> tuple[list[Run], str]:
 
 
 def faults_of_record(path: Path) -> list[str]:
-    """What does not hold of a record: lines changed, removed or put in, and results that are not those of the
-    last run that it names for them.
+    """What does not hold of a record: lines changed, removed or put in, results that are not of their last
+    run.
     """
     runs = runs_of(path)
     faults = [] if runs and runs[0].outcome == BEGUN else ["its beginning was removed"]
@@ -205,12 +196,11 @@ def faults_of_record(path: Path) -> list[str]:
 
 
 def head(path: Path) -> str:
-    """The digest of the last line: noted elsewhere, it proves that no line at the end was removed since."""
+    """The digest of the last line: noted elsewhere, it proves that none was removed since."""
     return _read(path)[1]
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """The digests of the results below a folder by their names relative to it."""
     return {
         path.relative_to(folder).as_posix(): _digest(path)
         for path in sorted(without_staging(folder.rglob(NAME)))
@@ -218,5 +208,4 @@ def _digests(folder: Path) -> dict[str, str]:
 
 
 def _digest(path: Path) -> str:
-    """The SHA-256 of a result as it lies there."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

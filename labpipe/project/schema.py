@@ -27,12 +27,14 @@ _TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, {"type": "array"
 _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
 
 
+# Entries of a sum of channels.
+SUM_KEYS = ("quantity", "role", "dof", "position")
+
 # The kinds of files with a schema: functions to it.
 SCHEMAS = Registry("schema")
 
 
 def rig_schema() -> dict[str, Any]:
-    """The schema of a rig file."""
     schema = object_schema(RigSettings)
     channel = object_schema(ChannelSettings)
     typed = channel["properties"]["sensitivity"]
@@ -43,7 +45,7 @@ def rig_schema() -> dict[str, Any]:
     described = "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg"
     schema["properties"]["constants"] = {**numbers, "description": described}
     listed = object_schema(ChannelSettings)
-    listed["properties"] = {name: listed["properties"][name] for name in ("quantity", "role", "dof")}
+    listed["properties"] = {name: listed["properties"][name] for name in SUM_KEYS}
     listed["properties"]["sum"] = numbers
     described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
     sums = {"type": "object", "additionalProperties": listed, "description": described}
@@ -53,7 +55,6 @@ def rig_schema() -> dict[str, Any]:
 
 
 def _recordings() -> dict[str, Any]:
-    """`recordings:`: files by name or glob, or with a rig, channels and a pattern of their own."""
     entry = {
         "type": "object",
         "properties": {
@@ -78,7 +79,6 @@ def _recordings() -> dict[str, Any]:
 
 
 def _frfs() -> dict[str, Any]:
-    """`frfs:`: files of frequency responses, by name or with their layout."""
     described = object_schema(FrfLayout)
     simple = [{"type": "string"}, described]
     return {"anyOf": [*simple, {"type": "array", "items": {"anyOf": simple}}]}
@@ -95,7 +95,6 @@ OF_TEST = {
 
 
 def pipeline_schema() -> dict[str, Any]:
-    """The schema of a pipeline file."""
     recordings, frfs = _recordings(), _frfs()
     conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
     test = {
@@ -143,14 +142,12 @@ def pipeline_schema() -> dict[str, Any]:
 
 
 def _decision() -> dict[str, Any]:
-    """A rule that gives limits."""
     texts: dict[str, Any] = {key: {"description": meaning} for key, meaning in DECISION_KEYS.items()}
     texts["rule"]["enum"] = list(DECISIONS)
     return {"type": "object", "properties": texts, "additionalProperties": False}
 
 
 def bearing_schema() -> dict[str, Any]:
-    """The schema of a bearing file."""
     return of_kinds("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
 
 
@@ -158,7 +155,6 @@ def of_kinds(
     title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others.
-
     *above*: further entries.
     """
     options = []
@@ -170,10 +166,6 @@ def of_kinds(
 
 
 def _section(entry: PipelineSection) -> dict[str, Any]:
-    """A section, or a mapping of names to entries.
-
-    Of fits and comparisons with the sections that their kinds have.
-    """
     owner = entry.settings
     schema = object_schema(owner)
     if owner in OWN_SECTIONS:
@@ -197,7 +189,6 @@ OWN_SECTIONS: dict[type, tuple[Callable[[], list[Any]], Callable[[str], str]]] =
 
 
 def object_schema(owner: type) -> dict[str, Any]:
-    """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
     properties = {
         name: {

@@ -35,14 +35,13 @@ from labpipe.project.run import run as run_pipeline
 from labpipe.project.run_record import recorded
 from labpipe.project.settings_reader import DECIDE, FILE_KINDS
 from labpipe.project.simulate import load_virtual_rig
-from labpipe.quantities import QUANTITIES, parse_unit
-from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.raw_files.table import TEXT_SUFFIXES, Table, open_table
+from labpipe.quantities import unit_of
+from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_fit
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.rig import AXIS_ANGLES, Rig, time_scale
+from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.registry import Registry
 from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS, VirtualRig, VirtualRigKind
 
@@ -88,9 +87,6 @@ def virtual_rig(kind: str | Path, **settings: Any) -> VirtualRig:
 
 def _is_file(kind: str | Path) -> bool:
     return isinstance(kind, Path) or kind.endswith(SETTINGS_SUFFIXES)
-
-
-# Results as tables: pandas data frames, and responses as xarray data sets where xarray is installed.
 
 
 def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd.DataFrame:
@@ -165,8 +161,6 @@ def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
     )
 
 
-# Read every file of measurements or results by one function.
-
 HEAD = 4096
 
 
@@ -209,55 +203,30 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
 
 
 def _calibrate(path: Path, rig: Rig) -> Recording:
-    """The recording as the rig file describes it, through the same stage as on the command line."""
-    import tempfile
-
     with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as output:
         return ingest(path, rig, output, path.stem, path.parent).in_memory()
 
 
 def _by_itself(path: Path) -> Recording:
-    """The recording as the file describes it; DataError for channels without quantity or unit."""
     table = open_table(path)
     names, rows = first_rows(table)
     time = time_columns(names, rows)[:1] if table.sample_rate is None else []
     if table.sample_rate is None and not time:
         raise DataError("states no sampling rate and has no time column", path, "read it with rig='rig.yaml'")
     guessed = guess_channels([name for name in names if name not in time], table.units)
-    undecided = [
-        channel.column
-        for channel in guessed
-        if DECIDE in (channel.quantity, channel.unit, channel.sensitivity)
-    ]
+    undecided = [repr(c.column) for c in guessed if DECIDE in (c.quantity, c.unit, c.sensitivity)]
     if undecided:
-        what = (
-            f"does not say quantity, unit or sensitivity of {', '.join(repr(column) for column in undecided)}"
-        )
+        what = f"does not say quantity, unit or sensitivity of {', '.join(undecided)}"
         raise DataError(what, path, "read it with rig='rig.yaml'; labpipe init proposes one")
-    return _recording(table, guessed, time)
+    return _calibrate(path, Rig("", tuple(map(_as_stated, guessed)), time=next(iter(time), None)))
 
 
-def _recording(table: Table, guessed: list[GuessedChannel], time: list[str]) -> Recording:
-    units = [parse_unit(channel.unit) for channel in guessed]
-    samples = np.concatenate(list(table.chunks([*time, *(channel.column for channel in guessed)])))
-    calibrated = samples[:, len(time) :] * [unit.factor for unit in units] + [unit.offset for unit in units]
-    rate = table.sample_rate
-    if time:
-        screen = TimeAxisScreen(time[0])
-        screen.add(samples[:, 0] * time_scale(time[0], table.units))
-        rate = screen.sample_rate()
-    return Recording(
-        tuple(_channel(channel) for channel in guessed), calibrated, float(rate or 0.0), table.path.stem
-    )
-
-
-def _channel(guessed: GuessedChannel) -> Channel:
+def _as_stated(guessed: GuessedChannel) -> RigChannel:
     role = guessed.role or DEFAULT_ROLES.get(guessed.quantity, "reference")
-    assert guessed.quantity in QUANTITIES
-    return Channel(guessed.key, guessed.quantity, role, guessed.dof, AXIS_ANGLES.get(guessed.dof))
-
-
-# A pipeline from a script, as `labpipe run` does it.
+    channel = Channel(guessed.key, guessed.quantity, role, guessed.dof, AXIS_ANGLES.get(guessed.dof))
+    # By the quantity: g of an acceleration is no gram.
+    unit = unit_of(guessed.unit, channel.unit)
+    return RigChannel(channel, guessed.column, guessed.unit, unit.factor, unit.offset)
 
 
 def run(

@@ -47,7 +47,6 @@ class Faults:
         self.add(entries[name], join(key, name), message, hint)
 
     def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
-        """A value that could not be read, with the hint of the unit table."""
         self.add(node, key, error.what, error.hint)
 
     def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
@@ -58,11 +57,9 @@ class Faults:
         self.add(entry, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
 
     def add_missing_file(self, node: Marked, key: str) -> None:
-        """A fault for the name of a file that is not there."""
         self.add(node, key, f"no such file '{node.text}'", "paths are relative to the file that names them")
 
     def merge(self, error: ConfigError) -> None:
-        """Add the faults of a referenced file."""
         self._faults.extend(error.faults if isinstance(error, ConfigErrors) else [error])
 
     def unknown_keys(
@@ -83,7 +80,6 @@ class Faults:
         return {}
 
     def raise_any(self) -> None:
-        """Raise all faults together, in the order of the file."""
         if self._faults:
             raise ConfigErrors(self._faults)
 
@@ -96,8 +92,8 @@ TYPED = 0.75
 
 
 def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
-    """The hint for an unknown key: the allowed one that is spelt nearly so, else the only one whose meaning
-    begins with the word.
+    """The hint for an unknown key: the allowed one spelt nearly so, else the only one whose meaning begins
+    so.
     """
     stem = name.lower().rstrip("s")
     by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
@@ -107,7 +103,6 @@ def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> st
 
 
 def join(*keys: str) -> str:
-    """The dotted key of an entry."""
     return ".".join(key for key in keys if key)
 
 
@@ -134,10 +129,6 @@ def _plain(node: Marked, by_content: bool) -> Any:
     if isinstance(node.content, list):
         return [_plain(entry, False) for entry in node.content]
     return node.content if node.content is None else node.text
-
-
-# What the reader of a pipeline's section may know: the faults so far, the rig, and the names that are
-# taken.
 
 
 @dataclass(frozen=True)
@@ -191,10 +182,7 @@ DECIDE = "DECIDE"
 
 def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **presets: Any) -> Owner | None:
     """An instance of the settings dataclass *owner* from the mapping *node*; None and faults where it cannot
-    be read.
-
-    *presets* are further fields that the file does not hold (a name, say), or defaults that take the place of
-    missing entries.
+    be read. *presets*: fields that the file does not hold (a name, say), or defaults of missing entries.
     """
     before = len(faults)
     settings = settings_of(owner)
@@ -209,7 +197,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            node_of = in_one_line(entries[name], setting)
+            node_of = in_one_line(entries[name], setting.kind)
             read = (
                 _read_uncertain
                 if takes_uncertainty(owner, setting) and is_uncertain(node_of.text)
@@ -228,10 +216,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
 
 
 def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
-    """The mapping with the keys of this version.
-
-    A note for each that it holds under the name of the version before.
-    """
+    """The mapping with the keys of this version, and a note for each of the version before."""
     if not isinstance(node.content, dict):
         return node
     new = {setting.before: name for name, (setting, _) in settings.items() if name not in node.content}
@@ -252,10 +237,7 @@ def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting
 def _instance(
     owner: type[Owner], fields: dict[str, Any], node: Marked, key: str, faults: Faults, unread: set[str]
 ) -> Owner | None:
-    """The dataclass, its faults added to those of its fields.
-
-    None without a second fault for unread entries.
-    """
+    """The dataclass, or None and its faults; no second fault for unread entries."""
     declared = dataclasses.fields(owner)  # type: ignore[arg-type]
     if any(field.default is MISSING and field.name not in fields for field in declared):
         return None
@@ -269,11 +251,11 @@ def _instance(
         return None
 
 
-def in_one_line(node: Marked, setting: Setting) -> Marked:
-    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as the text that
-    stands for it.
+def in_one_line(node: Marked, kind: str = "value") -> Marked:
+    """A number of a *kind* of setting in its long form {value, std | limits | expanded, shape, k, dof,
+    source} as its text.
     """
-    if setting.kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
+    if kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
     parts = {name: part.text for name, part in node.content.items()}
     sizes = [name for name in SIZES if name in parts]
@@ -289,10 +271,6 @@ def in_one_line(node: Marked, setting: Setting) -> Marked:
 
 
 def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
-    """The text of a number with its uncertainty, which the settings take apart.
-
-    None and a fault where it cannot be read.
-    """
     try:
         parse_uncertain(node.text, setting.unit)
     except UnitError as error:
@@ -320,10 +298,6 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
 
 
 def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
-    """A section, sections by name (pairs), or a list of sections.
-
-    None and faults where one cannot be read.
-    """
     assert setting.section is not None
     if setting.kind == "section":
         return read_settings(setting.section, node, key, faults)
@@ -345,7 +319,6 @@ def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
 
 
 def _content(node: Marked, name: str | None, setting: Setting, key: str, faults: Faults) -> Any:
-    """What the named file holds; None and its faults where it cannot be read."""
     if name is None:
         return None
     try:
@@ -357,9 +330,6 @@ def _content(node: Marked, name: str | None, setting: Setting, key: str, faults:
         else:
             faults.add(node, key, error.what, error.hint)
         return None
-
-
-# Files that an entry names, by path or glob, and what their names say.
 
 
 def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
@@ -387,7 +357,7 @@ def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False)
             faults.add(node, key, f"no file matches '{node.text}'", "paths are relative to the pipeline file")
         return matches
     if not path.exists():
-        faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
+        faults.add_missing_file(node, key)
         return []
     return [path]
 
@@ -413,9 +383,8 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
 
 
 def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether a path is of a glob, both part by part: '**' stands for any folders.
-
-    What begins with a point is hidden, as on a disk.
+    """Whether a path is of a glob, both part by part: '**' stands for any folders. What begins with a point
+    is hidden, as on a disk.
     """
     if not pattern or not names:
         return not names and all(part == "**" for part in pattern)
@@ -438,15 +407,17 @@ def listed(node: Marked) -> list[Marked]:
 
 def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
     """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up;
-    None where it differs.
-
-    '{}' stands for a part that is no condition.
+    None where it differs. '{}' is a part that is no condition; one that stands twice is the same in both
+    places.
     """
-    parts = re.split(r"\{(\w*)\}", pattern)
-    wanted = [part for part in parts[1::2] if part]
-    groups = iter(parts[1::2])
-    expression = "".join(
-        re.escape(part) + ("(.+?)" if next(groups, "") else ".+?") for part in parts[:-1:2]
-    ) + re.escape(parts[-1])
+    expression, wanted = "", list[str]()
+    for number, part in enumerate(re.split(r"\{(\w*)\}", pattern)):
+        if number % 2 == 0:
+            expression += re.escape(part)
+        elif part in wanted:
+            expression += f"(?:\\{wanted.index(part) + 1})"
+        else:
+            expression += "(.+?)" if part else ".+?"
+            wanted += [part] if part else []
     match = re.fullmatch(expression, name)
     return None if match is None else dict(zip(wanted, match.groups(), strict=True))

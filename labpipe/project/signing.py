@@ -38,7 +38,6 @@ USAGES = {"non_repudiation", "digital_signature"}
 
 
 def _library(name: str) -> Any:
-    """A module of the extra; ConfigError where it is not installed."""
     import importlib
 
     try:
@@ -50,13 +49,10 @@ def _library(name: str) -> Any:
         ) from None
 
 
-# Keys.
-
-
 @dataclass(frozen=True, kw_only=True)
 class Key:
-    """The key of a person: a PKCS#12 *file*, or the *token* of a PKCS#11 library (*module*) with the label of
-    its certificate; *secret*: password or PIN.
+    """The key of a person: a PKCS#12 *file*, or the *token* of a PKCS#11 *module* with the *label* of its
+    certificate; *secret*: password or PIN.
     """
 
     file: Path | None = None
@@ -68,7 +64,6 @@ class Key:
 
 @contextmanager
 def _signer(key: Key) -> Iterator[Any]:
-    """The signer of a key; ConfigError for one that cannot be read or is not valid today."""
     signers = _library("pyhanko.sign.signers")
     if key.file is not None:
         if not key.file.is_file():
@@ -108,20 +103,15 @@ def _check_valid(certificate: Any, where: str) -> None:
 
 
 def person(certificate: Any) -> str:
-    """Whose certificate it is, in words."""
     names = certificate.subject.native
     return cut(str(names.get("common_name") or certificate.subject.human_friendly))
 
 
-# Signing.
-
-
 def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "") -> Path:
-    """Sign a file as somebody who *measured*, *checked* or *approved*; the file that holds the signature.
-
-    A PDF is signed by PAdES: the first signature makes NAME.signed.pdf beside it, further ones go into that.
-    Any other file has the signature FILE.ROLE.p7s. *timestamp*: URL of a time-stamp server (RFC 3161).
-    ConfigError for a key that cannot be used or a role that has signed; DataError for no file to sign.
+    """Sign a file as somebody who *measured*, *checked* or *approved*; the file that holds the signature. A
+    PDF is signed by PAdES, first into NAME.signed.pdf beside it, further ones into that; any other file has
+    the signature FILE.ROLE.p7s. *timestamp*: URL of a time-stamp server (RFC 3161). ConfigError for a key
+    that cannot be used or a role that has signed; DataError for no file to sign.
     """
     if not path.is_file():
         raise DataError("no such file", path, "sign a report (.pdf) or an archive (.zip, .eln)")
@@ -192,7 +182,6 @@ def members_of(path: Path) -> dict[str, str]:
 
 
 def _with_hints(plain: Any, text: str) -> Any:
-    """The signed attributes of a signature with content hints added."""
     core: Any = _library("asn1crypto.core")
     cms = _library("asn1crypto.cms")
     attributes: Any = _library("pyhanko.sign.attributes")
@@ -213,9 +202,6 @@ def _with_hints(plain: Any, text: str) -> Any:
     return WithHints()
 
 
-# Verifying.
-
-
 @dataclass(frozen=True)
 class Trust:
     """Certificates that vouch for signers, and lists of revoked ones, as files in PEM or DER."""
@@ -227,7 +213,7 @@ class Trust:
 @dataclass(frozen=True)
 class Signature:
     """A signature as it was found: of which *file*, by *signer* as *role*, for a *reason*, at the *time* that
-    the signer states or a time stamp proves (*stamped*). faults: what does not hold.
+    is stated, or proven by a time stamp (*stamped*). faults: what does not hold.
     """
 
     file: Path
@@ -240,7 +226,6 @@ class Signature:
 
     @property
     def text(self) -> str:
-        """The signature in words."""
         what = f"{self.role} by {self.signer}" if self.role else f"signed by {self.signer}"
         when = f", {'time stamp' if self.stamped else 'stated time'} {self.time}" if self.time else ""
         return what + when + (f": {self.reason}" if self.reason else "")
@@ -256,9 +241,8 @@ def signed_files(path: Path) -> list[Path]:
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
-    """Every signature in a signed PDF or a detached signature; none in an unsigned PDF.
-
-    DataError where the file cannot be read; ConfigError for a certificate of *trust* that cannot.
+    """Every signature in a signed PDF or a detached one. DataError where the file cannot be read; ConfigError
+    for a certificate of *trust* that cannot.
     """
     for library in ("pyhanko", "pyhanko_certvalidator"):
         # What it says of a certificate that nobody vouches for is a fault here, and no trace of an error.
@@ -270,7 +254,6 @@ def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
 
 
 def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
-    """What vouches for a signer: nothing where no certificate is named."""
     keys, crl = _library("pyhanko.keys"), _library("asn1crypto.crl")
     roots: list[Any] = []
     for file in trust.roots:
@@ -300,7 +283,6 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
 
 
 def _status(validate: Callable[..., Any], trust: Trust) -> Any:
-    """The state of a signature now, or where a time stamp says when it was made, at that time."""
     constraints = _library("pyhanko.sign.validation.settings").KeyUsageConstraints
     usage = constraints(key_usage=USAGES, match_all_key_usages=False)
     moment = None
@@ -350,13 +332,11 @@ def _statement(path: Path, status: Any, role: str, reason: str, faults: tuple[st
 
 
 def _time_of_stamp(status: Any) -> datetime.datetime | None:
-    """The time of a time stamp that holds and that somebody vouches for."""
     stamp = status.timestamp_validity
     return stamp.timestamp if stamp is not None and stamp.trusted else None
 
 
 def _faults(status: Any, trust: Trust) -> tuple[str, ...]:
-    """What does not hold of a signature: the bytes, the signature itself, who vouches for the signer."""
     name = person(status.signing_cert)
     if not status.intact:
         return ("is not what was signed: a byte of it was changed",)
@@ -377,9 +357,8 @@ def _faults(status: Any, trust: Trust) -> tuple[str, ...]:
 
 
 def drawn_from_another(path: Path) -> str:
-    """What is wrong with a signed report beside a result: that it was drawn from another one, so that result,
-    recording or configuration are not those that were signed. Empty where it was drawn from that result, by
-    the build that made it or by this one, and where there is none beside it.
+    """What is wrong with a signed report: that it was drawn from another result than the one beside it. Empty
+    where it was drawn from that, by the build that made it or by this one, or there is none.
     """
     result = path.with_name(NAME)
     if not result.is_file():
@@ -390,7 +369,6 @@ def drawn_from_another(path: Path) -> str:
 
 
 def _detach(path: Path, trust: Trust) -> Signature:
-    """A detached signature and the file beside it that it signs."""
     cms, validation = _library("asn1crypto.cms"), _library("pyhanko.sign.validation")
     signed = path.with_name(path.name.removesuffix(DETACHED).rpartition(".")[0])
     try:
@@ -413,7 +391,6 @@ def _detach(path: Path, trust: Trust) -> Signature:
 
 
 def _words(signer_info: Any) -> dict[str, Any]:
-    """The words that were signed along; none of a signature that another program made."""
     for attribute in signer_info["signed_attrs"]:
         if attribute["type"].dotted == HINTS:
             text = attribute["values"][0].parse(_library("asn1crypto.core").Sequence)[0].native
@@ -423,7 +400,6 @@ def _words(signer_info: Any) -> dict[str, Any]:
 
 
 def _changes(path: Path, members: dict[str, str]) -> Sequence[str]:
-    """The files of an archive that are not those that were signed, by their names."""
     now = members_of(path)
     changed = [name for name in members if name in now and now[name] != members[name]]
     kinds = (

@@ -35,12 +35,10 @@ EXPLAINED = (
 
 
 def study_sections(studies: Studies, _identification: Identification) -> tuple[Section, ...]:
-    """One section for every Monte Carlo study."""
     return tuple(Section(f"Study: {study.rig}", study_blocks(study)) for study in studies)
 
 
 def study_blocks(study: Study) -> tuple[Block, ...]:
-    """Tables and figures of a study."""
     first = study.cases[0]
     lead = (
         f"{study.rig}, {first.repeats} repeats of each case, seed {study.seed}; the same noise for every "
@@ -107,7 +105,6 @@ def _parameter_table(case: StudyCase) -> Table:
 
 
 def _means_table(study: Study, fit: str) -> Table:
-    """Mean of every coefficient over the noise levels, below the truth."""
     cases = [case for case in study.cases if case.fit == fit and case.parameters]
     names = [p.name for p in cases[0].parameters]
     truth = ("truth", *(f"{p.truth:.4g}" for p in cases[0].parameters))
@@ -117,7 +114,6 @@ def _means_table(study: Study, fit: str) -> Table:
 
 
 def _noise_figure(study: Study) -> Figure:
-    """Median error, RMSE over the bound, coverage and success over the noise; grey: required."""
     fits = list(dict.fromkeys(case.fit for case in study.cases))
     panels = []
     # Title, unit, logarithmic axis, value of a case, required value of every panel.
@@ -147,7 +143,6 @@ def _noise_figure(study: Study) -> Figure:
 
 
 def _curve(cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None], number: int) -> Series:
-    """A quantity of one fit over the noise [%], NaN where a case has none."""
     values = [np.nan if (amount := value(case)) is None else amount for case in cases]
     return curve(cases[0].fit, [100 * case.noise for case in cases], values, *look(number), marker=".")
 
@@ -179,9 +174,8 @@ _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
 
 
 def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level.
-
-    Threshold is the noise level of the success limit.
+    """A rule on "fit[noise].item", or "fit.item" for every noise level. Threshold is the noise level of the
+    success limit.
     """
     match = _STUDIED.match(rule.item)
     if match is None:
@@ -229,7 +223,6 @@ def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
 
 
 def study_lines(studies: Studies) -> Iterator[str]:
-    """One line for every fit at every noise level, then the thresholds."""
     return (line for study in studies for line in _study_lines(study))
 
 

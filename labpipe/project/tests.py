@@ -9,6 +9,7 @@ from pathlib import Path
 from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
 from labpipe.project import settings_reader
+from labpipe.project.ingest import is_recording
 from labpipe.project.marked_yaml import Marked
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
@@ -18,10 +19,8 @@ from labpipe.spectra.settings import FrfSettings
 
 @dataclass(frozen=True)
 class ReadyFrf:
-    """Files of one ready FRF matrix: one file, or one for each element, row or column.
-
-    *layout* describes files that do not describe themselves; *outputs*, *inputs*: of every file the dofs that
-    its name or the entry gives.
+    """Files of one ready FRF matrix: one file, or one for each element, row or column. *layout* describes
+    files that do not describe themselves; *outputs*, *inputs*: the dofs of every file.
     """
 
     paths: tuple[Path, ...]
@@ -40,14 +39,12 @@ class ReadyFrf:
         return stems[0][:common].strip("-_ .") or stems[0]
 
     def absolute(self) -> ReadyFrf:
-        """The same for a process that works in another folder."""
         return replace(self, paths=tuple(path.absolute() for path in self.paths))
 
 
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The responses of the entry *key*: a file, a description, or a list of them.
-
-    Faults for those that cannot be read.
+    """The responses of the entry *key*: a file, a description, or a list; faults for those that cannot be
+    read.
     """
     frfs: list[ReadyFrf] = []
     for entry in settings_reader.listed(node):
@@ -59,7 +56,6 @@ def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> l
 
 
 def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The response of an entry with `each:`, or the responses of the files that `file:` names."""
     layout = settings_reader.read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
@@ -85,29 +81,16 @@ def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[Re
 def _dofs(
     path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The dofs of a file's rows and columns: from its name, else from the entry."""
-    named = _name(path, layout, node, key, faults) if layout.pattern else {}
+    stem = settings_reader.plain_stem(path)
+    named = settings_reader.conditions_in(stem, layout.pattern) if layout.pattern else {}
+    if named is None or not set(named) <= {"output", "input"}:
+        what = f"does not match '{stem}'" if named is None else "holds more than {output} and {input}"
+        hint = "for example 'H_{output}_{input}'; {} stands for any other part"
+        faults.add_at(node.content, key, "pattern", what, hint)
+        named = {"output": "?", "input": "?"}
     outputs = (named["output"],) if "output" in named else layout.output
     inputs = (named["input"],) if "input" in named else layout.input
     return outputs, inputs
-
-
-def _name(
-    path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
-) -> dict[str, str]:
-    """The dofs in a file's name."""
-    matched = settings_reader.conditions_in(settings_reader.plain_stem(path), layout.pattern)
-    if matched is not None and set(matched) <= {"output", "input"}:
-        return matched
-    what = (
-        f"does not match '{settings_reader.plain_stem(path)}'"
-        if matched is None
-        else "holds more than {output} and {input}"
-    )
-    faults.add_at(
-        node.content, key, "pattern", what, "for example 'H_{output}_{input}'; {} stands for any other part"
-    )
-    return {"output": "?", "input": "?"}
 
 
 def _check_dofs(
@@ -118,7 +101,6 @@ def _check_dofs(
     key: str,
     faults: settings_reader.Faults,
 ) -> None:
-    """A fault where the dofs of a described file are not as many as its description needs."""
     assert layout.table is not None
     # An element named o/i has both dofs, one named o has its input from the entry.
     has_all = bool(layout.elements) and (word == "output" or all("/" in name for name, _ in layout.elements))
@@ -136,10 +118,8 @@ BY = ("time", "sample")
 
 @dataclass(frozen=True)
 class SourceFile:
-    """One recorded file and the rig that recorded it.
-
-    *path* may be the URL of an object storage. *joined*: further files with channels of the same run, *by*:
-    joined on time or by sample, by default on time where all have it.
+    """One recorded file and the rig that recorded it. *path* may be a URL of an object storage. *joined*:
+    further files with channels of the same run, *by* time or sample, by default by time where all have it.
     """
 
     path: Path
@@ -149,11 +129,9 @@ class SourceFile:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """All files of the run."""
         return (self.path, *self.joined)
 
     def absolute(self) -> SourceFile:
-        """The same for a process that works in another folder."""
         return self.at({path: path.absolute() for path in self.paths if not is_remote(path)})
 
     def at(self, places: Mapping[Path, Path]) -> SourceFile:
@@ -165,15 +143,15 @@ class SourceFile:
         )
 
 
-def read_rig(node: Marked | None, folder: Path, faults: settings_reader.Faults, key: str) -> Rig | None:
+def read_rig(node: Marked | None, faults: settings_reader.Faults, key: str) -> Rig | None:
     """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
     if node is None:
         return None
     try:
-        return load_rig(folder / node.text)
+        return load_rig(faults.folder / node.text)
     except ConfigError as error:
         if error.what == "no such file":
-            faults.add(node, key, f"no such file '{node.text}'", "paths are relative to the pipeline file")
+            faults.add_missing_file(node, key)
         else:
             faults.merge(error)
     return None
@@ -187,11 +165,9 @@ class RecordingReader:
 
     rig: Rig | None
     rig_node: Marked | None
-    folder: Path
     faults: settings_reader.Faults
 
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
-        """The recorded files of an entry or a list of entries; faults for those that cannot be read."""
         sources: list[SourceFile] = []
         seen: dict[tuple[Path, ...], SourceFile] = {}
         for entry in settings_reader.listed(node):
@@ -230,45 +206,42 @@ class RecordingReader:
             moved = self._move(rig, paths[0], entry, key)
             return [SourceFile(paths[0], moved, tuple(paths[1:]), self._by(entry, key))]
         if "by" in entry.content:
-            self.faults.add_at(
-                entry.content, key, "by", "belongs to files that are joined", "write join: [a.csv, b.csv]"
-            )
-        sources = []
+            what, hint = "belongs to files that are joined", "write join: [a.csv, b.csv]"
+            self.faults.add_at(entry.content, key, "by", what, hint)
+        moving = next((word for word in ("channels", "pattern") if word in entry.content), "")
+        sources: list[SourceFile] = []
         before = len(self.faults)
         for path in paths:
-            # After a fault the other files would say the same.
-            if len(self.faults) == before:
-                sources.append(SourceFile(path, self._move(rig, path, entry, key)))
+            if moving and is_recording(path):
+                what = f"'{path.name}' is calibrated, its channels stay as they are"
+                self.faults.add_at(entry.content, key, moving, what, "name the raw file, or leave it out")
+            sources.append(SourceFile(path, self._move(rig, path, entry, key)))
+            if len(self.faults) > before:
+                # The other files would say the same.
+                break
         return sources
 
     def _by(self, entry: Marked, key: str) -> str:
-        node = entry.content.get("by")
-        if node is not None and node.text not in BY:
-            self.faults.add(
-                node, settings_reader.join(key, "by"), f"unknown '{node.text}'", f"known: {', '.join(BY)}"
-            )
-        return node.text if node is not None else ""
+        by = entry.content["by"].text if "by" in entry.content else ""
+        if "by" in entry.content and by not in BY:
+            self.faults.add_at(entry.content, key, "by", f"unknown '{by}'", f"known: {', '.join(BY)}")
+        return by
 
     def _move(self, rig: Rig, path: Path, entry: Marked, key: str) -> Rig:
-        """The rig with the dofs that the file's name says."""
         node = entry.content.get("pattern")
         if node is None:
             return rig
         dofs = settings_reader.conditions_in(settings_reader.plain_stem(path), node.text)
-        if dofs is None:
-            what = f"does not match '{settings_reader.plain_stem(path)}'"
-            self.faults.add(
-                node, settings_reader.join(key, "pattern"), what, "for example '{}_{output}_{input}'"
-            )
-            return rig
         try:
+            if dofs is None:
+                hint = "for example '{}_{output}_{input}'"
+                raise ConfigError(f"does not match '{settings_reader.plain_stem(path)}'", hint=hint)
             return move(rig, dofs)
         except ConfigError as error:
-            self.faults.add(node, settings_reader.join(key, "pattern"), error.what, error.hint)
+            self.faults.add_at(entry.content, key, "pattern", error.what, error.hint)
             return rig
 
     def _rig(self, entry: Marked, key: str) -> Rig | None:
-        """The rig of one recording: its rig file, with the recording's channel entries."""
         rig_node = entry.content.get("rig", self.rig_node)
         if rig_node is None:
             self.faults.add(entry, key, "no rig file is named", "add rig: FILE")
@@ -276,9 +249,9 @@ class RecordingReader:
         if "channels" not in entry.content:
             if "rig" not in entry.content:
                 return self.rig
-            return read_rig(rig_node, self.folder, self.faults, settings_reader.join(key, "rig"))
+            return read_rig(rig_node, self.faults, settings_reader.join(key, "rig"))
         try:
-            path, channels = self.folder / rig_node.text, entry.content["channels"]
+            path, channels = self.faults.folder / rig_node.text, entry.content["channels"]
             return override_channels(path, channels, self.faults, settings_reader.join(key, "channels"))
         except ConfigError as error:
             self.faults.merge(error)
@@ -287,18 +260,15 @@ class RecordingReader:
 
 SINGLE = ("recordings", "frfs", "conditions")
 LISTED = ("name", *SINGLE, "frf", "repeats")
-EACH = ("each", "pattern", "together", "conditions", "frf")
+EACH = ("each", "pattern", "together", "conditions", "frf", "repeats")
 REPEATS = ("each", "pool")
 
 
 @dataclass(frozen=True)
 class Test:
     """One test: recordings that together give one FRF matrix, or ready FRFs; *conditions* as text of the
-    file.
-
-    recorded: further conditions, which the recordings themselves show. frf: how this test's spectra are made,
-    where it differs from the pipeline's. repeats: what fits make of several recordings, `each` or `pool`;
-    empty where the fits say it.
+    file. recorded: those that the recordings show. frf: how its spectra are made, where that differs.
+    repeats: what fits make of several recordings, `each` or `pool`; empty where the fits say it.
     """
 
     name: str
@@ -320,21 +290,21 @@ class EachFile:
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
     frf: FrfSettings | None = None
     pattern: str = ""
+    repeats: str = ""
 
     def named(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
         return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
-        """The test of a recording, by default named after its file.
-
-        ConfigError for a name that does not match the pattern.
+        """The test of a recording, by default named after its file. ConfigError for a name that does not
+        match the pattern.
         """
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
         conditions = {**self.conditions, **self.named(source.path)}
-        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf)
+        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
 
 
 @dataclass(frozen=True)
@@ -344,7 +314,6 @@ class TestReader:
     """
 
     top: dict[str, Marked]
-    folder: Path
     rig: Rig | None
     faults: settings_reader.Faults
 
@@ -366,7 +335,6 @@ class TestReader:
         return tuple(tests.values())
 
     def _entry(self, node: Marked, number: int) -> Iterator[Test]:
-        """The test of an entry, or one test per file of an entry with `each:`."""
         key = f"tests.{number}"
         entries = self.faults.mapping(node, key)
         if entries:
@@ -378,9 +346,8 @@ class TestReader:
             yield self._test(name, node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, named after it; conditions from the name by the pattern.
-
-        Files whose names differ only in the parts named by `together` are recordings of one test.
+        """One test per file, named after it; files that differ only in the parts named by `together` are
+        recordings of one test.
         """
         per_file = self._each(entries, key)
         together = self._together(entries, key)
@@ -407,7 +374,7 @@ class TestReader:
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"
                 self.faults.add_at(entries["conditions"].content, "conditions", name, what, "leave one out")
-        return EachFile(common, recorded, self._frf(entries, key), pattern)
+        return EachFile(common, recorded, self._frf(entries, key), pattern, self._repeats(entries, key))
 
     def each_file(self) -> EachFile:
         """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
@@ -425,16 +392,14 @@ class TestReader:
         return self._each(entries, "tests.1")
 
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
-        """The parts of the pattern that tell the recordings of one test apart."""
         if "together" not in entries:
             return []
         pattern = entries["pattern"].text if "pattern" in entries else ""
         parts = [node.text for node in settings_reader.listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
-                self.faults.add_at(
-                    entries, key, "together", f"the pattern has no part '{{{part}}}'", f"pattern: {pattern}"
-                )
+                what = f"the pattern has no part '{{{part}}}'"
+                self.faults.add_at(entries, key, "together", what, f"pattern: {pattern}")
         return parts
 
     def _test(self, name: str, node: Marked, key: str) -> Test:
@@ -442,11 +407,9 @@ class TestReader:
         recordings: list[SourceFile] = []
         if "recordings" in entries:
             recordings = self._recordings(entries["recordings"], settings_reader.join(key, "recordings"))
-        frfs = (
-            read_ready_frfs(entries["frfs"], settings_reader.join(key, "frfs"), self.faults)
-            if "frfs" in entries
-            else []
-        )
+        frfs: list[ReadyFrf] = []
+        if "frfs" in entries:
+            frfs = read_ready_frfs(entries["frfs"], settings_reader.join(key, "frfs"), self.faults)
         if not recordings and not frfs and not len(self.faults):
             place = node if node.place else next(iter(self.top.values()))
             self.faults.add(place, key, "neither recordings nor frfs")
@@ -454,16 +417,18 @@ class TestReader:
         if frfs and recorded:
             what = "a ready FRF has no channels to take conditions from"
             self.faults.add_at(entries, key, "conditions", what, "write the amount, e.g. load: 1 kN")
-        repeats = entries["repeats"].content if "repeats" in entries else ""
-        if "repeats" in entries and repeats not in REPEATS:
-            self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
-        frf = self._frf(entries, key)
+        frf, repeats = self._frf(entries, key), self._repeats(entries, key)
         return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, frf, repeats)
 
-    def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
-        """The pipeline's frf: with the entries that the test itself gives.
+    def _repeats(self, entries: dict[str, Marked], key: str) -> str:
+        repeats = entries["repeats"].text if "repeats" in entries else ""
+        if "repeats" in entries and repeats not in REPEATS:
+            self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
+        return repeats
 
-        An entry without a value takes that of the pipeline away.
+    def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
+        """The pipeline's frf: with the entries that the test itself gives. An entry without a value takes
+        that of the pipeline away.
         """
         if "frf" not in entries or key == "":
             return None
@@ -475,12 +440,11 @@ class TestReader:
         return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
-        return RecordingReader(self.rig, self.top.get("rig"), self.folder, self.faults).sources(node, key)
+        return RecordingReader(self.rig, self.top.get("rig"), self.faults).sources(node, key)
 
     def _conditions(
         self, entries: dict[str, Marked], key: str
     ) -> tuple[dict[str, str], dict[str, RecordedCondition]]:
-        """Conditions as they are written, and those that are recorded: {channel: NAME} or {tacho: NAME}."""
         written: dict[str, str] = {}
         recorded: dict[str, RecordedCondition] = {}
         if "conditions" not in entries:
@@ -488,6 +452,9 @@ class TestReader:
         for name, node in self.faults.mapping(entries["conditions"], "conditions").items():
             if not isinstance(node.content, dict):
                 written[name] = node.text
+                if node.content is None or not node.text:
+                    what, hint = "an amount or a word is needed", "for example speed: 3000 rpm"
+                    self.faults.add(node, settings_reader.join(key, "conditions", name), what, hint)
                 continue
             source = settings_reader.read_settings(
                 RecordedCondition, node, settings_reader.join(key, "conditions", name), self.faults

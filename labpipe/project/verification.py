@@ -23,7 +23,7 @@ from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import is_remote, without_staging
 from labpipe.errors import DataError
-from labpipe.project.measured import RIGS
+from labpipe.project.measured import CONDITIONS, DESCRIPTION, RIGS
 from labpipe.registry import Registry
 
 Reference = tuple[str, str]
@@ -45,9 +45,7 @@ class Verified:
 
 @dataclass(frozen=True)
 class _Kind:
-    """An artefact by the end of its name: how it is read whole, its digest, and the files that it names, with
-    paths from the pipeline.
-    """
+    """An artefact by the end of its name: how it is read, its digest, and the files that it names."""
 
     read: Callable[[Path], Any]
     digest: Callable[[Path], str]
@@ -64,7 +62,6 @@ def _header_inputs(path: Path) -> Sequence[Reference]:
 
 
 def _from(raw: bool, path: Path) -> Sequence[Reference]:
-    """What something was measured from: raw files, or calibrated recordings; none of the other ones."""
     return _header_inputs(path) if (RIGS in header_of(path).parameters) == raw else ()
 
 
@@ -114,9 +111,8 @@ def _kind(path: Path) -> _Kind | None:
 
 def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of
-    raw files are relative; by default that in or above the results which holds a file of the pipeline's name.
-
-    DataError for no folder, or one without artefacts.
+    raw files are relative; by default that in or above the results which holds the pipeline. DataError for no
+    folder, or one without artefacts.
     """
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
@@ -131,7 +127,6 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
 
 
 def artefacts_below(folder: Path) -> list[Path]:
-    """The files below a folder that have an artefact's name, in order."""
     return [
         path for path in without_staging(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()
     ]
@@ -154,6 +149,8 @@ def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
         *((source, [base] if base else []) for source in sources),
         *((file, [path.parent, path.parent / "recordings", path.parent.parent]) for file in inputs),
     ]:
+        if name in (DESCRIPTION, CONDITIONS):
+            continue
         actual = _digest(name, folders)
         if actual is None:
             remarks.append(f"'{name}' is not there to be compared")
@@ -165,10 +162,6 @@ def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
 
 
 def _digest(name: str, folders: Sequence[Path]) -> str | None:
-    """The digest of a file that an artefact names, in one of some folders or by its URL.
-
-    None where it is not there.
-    """
     address = Path(name)
     if not is_remote(address):
         here = next((candidate for place in folders if (candidate := place / name).is_file()), None)
@@ -180,8 +173,8 @@ def _digest(name: str, folders: Sequence[Path]) -> str | None:
 
 
 def pipeline_folder(path: Path) -> Path | None:
-    """The folder of the pipeline that made a result, where a file of its name stands in a folder above or
-    beside it; None elsewhere.
+    """The folder of the pipeline that made a result, where a file of its name stands in one above or beside
+    it.
     """
     try:
         name = read_identification(path / NAME if path.is_dir() else path).pipeline
@@ -193,9 +186,7 @@ def pipeline_folder(path: Path) -> Path | None:
 
 
 def differences(first: Path, second: Path) -> list[str]:
-    """The artefacts in two folders of results that are not the same byte for byte, and those of the first
-    that the second lacks.
-    """
+    """The artefacts of a first folder of results that a second lacks, or has with another content."""
     lines = []
     for path in filter(Path.is_file, artefacts_below(first)):
         name = path.relative_to(first)

@@ -28,11 +28,10 @@ COMPARE_PREFIX, FIT_PREFIX = "compare.", "identify."
 
 @dataclass(frozen=True)
 class Work:
-    """A pipeline whose recordings have been measured.
-
-    tests: the response, the free decays or the spectra of every test. test_fits: fits already made test by
-    test, by their name in the pipeline. fits: those of the sections so far. failed: tests that are missing,
-    and comparisons that cannot do without them. *jobs*: processes of a study, 0 for one per processor.
+    """A pipeline whose recordings have been measured. tests: what came of every test. test_fits: fits already
+    made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that
+    are missing, and comparisons that cannot do without them. *jobs*: processes of a study, 0 for one per
+    processor.
     """
 
     pipeline: Pipeline
@@ -47,17 +46,14 @@ class Work:
 
     @property
     def responses(self) -> list[FrequencyResponse]:
-        """The frequency responses among what was measured."""
         return [test for test in self.tests if isinstance(test, FrequencyResponse)]
 
     @property
     def spectra(self) -> list[ChannelSpectra]:
-        """The spectra of all channels among what was measured."""
         return [test for test in self.tests if isinstance(test, ChannelSpectra)]
 
     @property
     def conditions(self) -> dict[str, dict[str, str]]:
-        """The conditions of every test by its name."""
         return {test.name: test.conditions for test in self.tests}
 
 
@@ -68,9 +64,8 @@ SINGULAR = (
 
 
 def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
-    """Every fit on every test that it names; fits already made test by test are reused.
-
-    A fit that the measurement cannot support is named among the work's failures; FitError where none is left.
+    """Every fit on every test that it names; those made already are reused. One that the measurement cannot
+    support is named among the work's failures; FitError where none is left.
     """
     fits: list[Fit] = []
     faults: list[FitError] = []
@@ -92,14 +87,17 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
         fits.extend(with_level_findings(made, work.conditions))
     if faults and not fits:
         raise faults[0]
+    names = {parameter.name for fit in fits for parameter in fit.parameters}
+    sources = () if work.failed else {source for fit in settings for source in fit.between}
+    for source in sources:
+        if source.parameter not in names:
+            what = f"uncertainty.repeatability.{source.name}: no fit has a parameter '{source.parameter}'"
+            raise ConfigError(what, work.pipeline.path, nearest(source.parameter, names))
     return fits
 
 
 def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSettings:
-    """The settings with the result of the earlier fit that they begin with.
-
-    LabpipeError names the fit, and why the earlier one failed.
-    """
+    """The settings with the result of the earlier fit that they begin with, or why it failed."""
     where = f"{work.pipeline.path}: identify.{settings.name}"
     earlier = settings.kind.earlier(settings)
     if earlier and not any(earlier in (fit.name, fit.test) for fit in fits):
@@ -129,9 +127,8 @@ def fits_of(
     pipeline_path: Path,
     repeats: Mapping[str, str] = MappingProxyType({}),
 ) -> list[Fit]:
-    """The fits of the responses or decays whose test the settings name, or of all.
-
-    *repeats*: what tests say of theirs, by name. LabpipeError names fit and test.
+    """The fits of the responses or decays whose test the settings name, or of all. *repeats*: what tests say
+    of theirs, by name. LabpipeError names fit and test.
     """
     # What fits is not imported by a run that finds all its fits fresh.
     from labpipe.estimation.budget import with_repeat_sources

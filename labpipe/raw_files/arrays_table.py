@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-import tokenize
 import warnings
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +13,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
-from labpipe.raw_files.text_table import check_filled, not_readable
+from labpipe.raw_files.text_table import check_filled, reading
 
 # Named arrays of one file as a table: the longest vectors of equal length are the channels, a scalar such
 # as fs or dt their rate.
@@ -88,9 +85,8 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
 
 
 def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
-    """The sampling rate [Hz] from scalars such as fs or dt.
-
-    DataError when they contradict each other or are not positive.
+    """The sampling rate [Hz] from scalars such as fs or dt. DataError when they contradict each other or are
+    not positive.
     """
     rates_by_name = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
     rates_by_name |= {
@@ -105,12 +101,16 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
     return rates[0]
 
 
+def _last(name: str) -> str:
+    return re.split("[./]", name)[-1]
+
+
 def _is_time(name: str) -> bool:
-    return name.rpartition("/")[2].rpartition(".")[2].lower() in ("t", "time")
+    return _last(name).lower() in ("t", "time")
 
 
 def _is_named(name: str, names: tuple[str, ...]) -> bool:
-    last_part = name.rpartition("/")[2].rpartition(".")[2].lower()
+    last_part = _last(name).lower()
     return last_part in names or last_part.removeprefix("time_") in names
 
 
@@ -128,18 +128,16 @@ _SIGNAL = re.compile(r"Signal\s+(\w+)\b[^\n;]*?\bEU\s+([^\s,;]+)")
 def describe(
     columns: Sequence[str], texts: Mapping[str, Sequence[str]]
 ) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
-    """(names, units, sensitivities) of *columns* by what *texts* beside them say.
-
-    A list of as many texts as there are columns is theirs in order, one of as many as a matrix has columns is
-    of that matrix; NAME_unit is that of NAME.
+    """(names, units, sensitivities) of *columns* by *texts* beside them: a list of as many texts as there are
+    columns, or columns of a matrix, is theirs in order; NAME_unit is that of NAME.
     """
     stated: dict[str, dict[str, str]] = {"names": {}, "units": {}, "sensitivities": {}}
-    by_last = {name.rpartition(".")[2].rpartition("/")[2]: name for name in columns}
+    by_last = {_last(name): name for name in columns}
     matrices: dict[str, list[str]] = {}
     for name in columns:
         matrices.setdefault(re.sub(r"_\d+$", "", name), []).append(name)
     for key, entries in texts.items():
-        last = key.rpartition(".")[2].rpartition("/")[2]
+        last = _last(key)
         for name, unit in _SIGNAL.findall("\n".join(entries)):
             if name in by_last:
                 stated["units"].setdefault(by_last[name], unit)
@@ -157,8 +155,8 @@ def describe(
 
 
 class ArraysTable:
-    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with their number of
-    values; *texts*: what stands beside the numbers, which may say names, units and sensitivities.
+    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with these; *texts*
+    beside the numbers may say names, units and sensitivities.
     """
 
     def __init__(
@@ -199,36 +197,25 @@ class ArraysTable:
 
 # NumPy's .npy and .npz files; nothing in them is unpickled.
 
-_BROKEN = (
-    ValueError, TypeError, OSError, EOFError, KeyError, SyntaxError, OverflowError, MemoryError,
-    NotImplementedError,
-    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-
 
 def load_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of a .npz file by name, that of a .npy file under ''.
-
-    DataError for a damaged file or one of pickled objects.
+    """The arrays of a .npz file by name, that of a .npy file under ''. DataError for a damaged file or one of
+    pickled objects.
     """
     check_filled(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            mode: Any = "r" if path.suffix.lower() == ".npy" else None
-            stored = np.load(path, allow_pickle=False, mmap_mode=mode)
-            if isinstance(stored, np.ndarray):
-                return {"": stored}
-            with stored:
-                return {name: stored[name] for name in stored.files}
-    except _BROKEN as error:
-        raise not_readable(path, "NumPy file of numbers", error) from None
+    with reading(path, "NumPy file of numbers"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mode: Any = "r" if path.suffix.lower() == ".npy" else None
+        stored = np.load(path, allow_pickle=False, mmap_mode=mode)
+        if isinstance(stored, np.ndarray):
+            return {"": stored}
+        with stored:
+            return {name: stored[name] for name in stored.files}
 
 
 def numpy_table(path: Path) -> ArraysTable:
-    """The vectors of a NumPy file, or the columns of its matrices: 1, 2, ... in a .npy file.
-
-    Fields of a structured array by name.
+    """The vectors of a NumPy file, or the columns of its matrices: 1, 2, ... in a .npy file. Fields of a
+    structured array by name.
     """
     arrays: dict[str, Any] = {}
     for name, array in load_arrays(path).items():

@@ -1,9 +1,7 @@
-"""Calibration certificates: the Digital Calibration Certificate (DCC) of PTB, XML of schema 3, and tables
-of plain certificates as CSV.
-
-A certificate is read without a network, without entities and without a schema file: its structure is held
-against what the published schema 3 asks for (https://ptb.de/dcc) where a number, its unit, its uncertainty,
-its validity or its identity depends on it. A signature inside the XML is not verified.
+"""Calibration certificates: the Digital Calibration Certificate (DCC) of PTB, XML of schema 3, and tables of
+plain certificates as CSV. They are read without a network, entities or a schema file: held against what the
+published schema 3 (https://ptb.de/dcc) asks for where a number, its unit, uncertainty, validity or identity
+depends on it. A signature inside the XML is not verified.
 """
 
 from __future__ import annotations
@@ -44,7 +42,8 @@ _TOKEN = re.compile(r"\s*\\([a-z]+)(?:\{([^{}]*)\})?")
 class CertifiedQuantity:
     """A quantity of a certificate: the *names* by which it may be asked for, its *values* in *unit* as
     labpipe writes it, and their standard uncertainties [unit], None where none is stated. table: number of
-    the table in which it stands, by which columns belong together.
+    the table in which it stands, by which columns belong together. serials: of what was calibrated, where
+    the certificate states them for each quantity.
     """
 
     names: tuple[str, ...]
@@ -52,12 +51,13 @@ class CertifiedQuantity:
     unit: str
     std_errors: tuple[float, ...] | None
     table: int
+    serials: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """A certificate: its *number*, the serial and other numbers of what was calibrated, the last day on which
-    it is valid (None: not stated), and what it states. *refused*: why it must not be used, empty for none.
+    """A certificate: its *number*, serial and other numbers of what was calibrated, the last day on which it
+    is valid (None: not stated), and what it states. *refused*: why it must not be used.
     """
 
     number: str
@@ -80,10 +80,8 @@ class Certificate:
 
 
 def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certificate:
-    """The certificate of a file; of a table of several that of the *number*. *sha256*: what the file's digest
-    must be, if it is given.
-
-    UnitError for a file that cannot be read, that is no certificate, or is another one.
+    """The certificate of a file, of a table of several that of the *number*. *sha256*: what the digest must
+    be, if given. UnitError for a file that cannot be read, is no certificate, or another one.
     """
     try:
         if path.stat().st_size > MOST_BYTES:
@@ -91,7 +89,7 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
         content = path.read_bytes()
     except OSError as error:
         what = "no such file" if not path.exists() else (error.strerror or str(error)).lower()
-        raise UnitError(f"'{path.name}': {what}", "paths are relative to the rig file") from None
+        raise UnitError(f"'{path.name}': {what}", "paths are relative to the file that names them") from None
     if sha256 and hashlib.sha256(content).hexdigest() != sha256.lower():
         raise UnitError(f"'{path.name}' is not the file of that SHA-256", "use the file as it was issued")
     if path.suffix.lower() == ".csv":
@@ -100,9 +98,6 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
     if number and certificate.number != number:
         raise UnitError(f"'{path.name}' is the certificate '{certificate.number}', not '{number}'")
     return certificate
-
-
-# The XML of a Digital Calibration Certificate.
 
 
 def _of_xml(content: bytes, name: str) -> Certificate:
@@ -165,7 +160,6 @@ def _local(element: ET.Element) -> str:
 
 
 def _check_children(element: ET.Element, needed: Sequence[str], others: Sequence[str] = ()) -> None:
-    """UnitError unless an element of the DCC has every needed child once, and no other twice or unknown."""
     names = [child.tag for child in element if not child.tag.endswith("}Signature")]
     for tag in names:
         if tag.removeprefix(DCC) not in (*needed, *others):
@@ -201,7 +195,6 @@ def _day(element: ET.Element) -> datetime.date:
 
 
 def _validity(administrative: ET.Element, end: datetime.date) -> tuple[datetime.date | None, str]:
-    """The last day on which the certificate is valid, as its statements say, and why it must not be used."""
     days: list[datetime.date] = []
     refused = ""
     for statement in administrative.iterfind(f"{DCC}statements/{DCC}statement"):
@@ -219,7 +212,6 @@ _PERIOD = re.compile(r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)D)?")
 
 
 def _after(day: datetime.date, period: str) -> datetime.date:
-    """The day after a period such as P2Y or P6M."""
     match = _PERIOD.fullmatch(period)
     if match is None or not any(match.groups()):
         raise UnitError(f"the period '{period}' is none of years, months and days")
@@ -240,9 +232,7 @@ def _serials(items: ET.Element) -> Iterator[str]:
 
 
 def _quantities(results: ET.Element) -> Iterator[CertifiedQuantity]:
-    """The quantities of all results, each list of quantities as a table; what stands inside a quantity as its
-    metadata is none of them.
-    """
+    """The quantities of all results, each list of quantities as a table; not those inside as metadata."""
     table = 0
     for result in results.iterfind(f"{DCC}measurementResult/{DCC}results/{DCC}result"):
         pending = [_only(result, "data")]
@@ -268,7 +258,12 @@ def _quantity(quantity: ET.Element, table: int) -> Iterator[CertifiedQuantity]:
             continue
         end = _NUMBERS[_local(number)]
         values = _listing(_only(number, f"value{end}", SI))
-        unit = unit_text(_text(_only(number, f"unit{end}", SI)))
+        # A list has one unit for all, or one for each.
+        text = _text(_only(number, f"unit{end}", SI))
+        units = dict.fromkeys(text.split() if end else [text])
+        if len(units) > 1:
+            raise UnitError(f"a list of numbers has several units: {', '.join(units)}")
+        unit = unit_text(next(iter(units)))
         errors = _std_errors(number, end, len(values))
         if hybrid and number is not hybrid[0][0]:
             # Another unit of the same: the first one is what the laboratory states.
@@ -359,10 +354,8 @@ def unit_text(text: str) -> str:
             raise UnitError(f"the unit '{text[:80]}' is not known at '\\{word}'")
     if prefix or sign or not parts:
         raise UnitError(f"the unit '{text[:80]}' ends too early")
-    return ".".join(
-        f"{symbol}^{power}1" if power == "-" else f"{symbol}^{power}" if power else symbol
-        for symbol, power in parts
-    )
+    powers = {"": "", "-": "^-1"}
+    return ".".join(symbol + powers.get(power, f"^{power}") for symbol, power in parts)
 
 
 def _negate(power: str) -> str:
@@ -412,8 +405,11 @@ def _of_table(content: bytes, name: str, number: str) -> Certificate:
         )
     except UnitError as error:
         raise UnitError(f"'{name}': {error.what}", error.hint) from None
-    serials = tuple(dict.fromkeys(row["serial"] for row in rows if row.get("serial")))
-    return Certificate(rows[0]["certificate"], serials, min(days, default=None), quantities)
+    return Certificate(rows[0]["certificate"], _serials_of(rows), min(days, default=None), quantities)
+
+
+def _serials_of(rows: Sequence[dict[str, str]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(row["serial"] for row in rows if row.get("serial")))
 
 
 def _day_of(text: str) -> datetime.date:
@@ -455,10 +451,11 @@ def _columns(named: str, rows: Sequence[dict[str, str]], table: int) -> Iterator
 
     sizes = [relative(row["uncertainty"], row["value"]) for row in rows]
     factors = column("coverage_factor")
-    yield CertifiedQuantity((named,), column("value"), units.pop(), _quotients(sizes, factors), table)
+    errors = _quotients(sizes, factors)
+    yield CertifiedQuantity((named,), column("value"), units.pop(), errors, table, _serials_of(rows))
     if any(row.get(FREQUENCY) for row in rows):
         yield CertifiedQuantity((FREQUENCY,), column(FREQUENCY), "Hz", None, table)
     if any(row.get(PHASE) for row in rows):
         key = "phase_uncertainty_deg"
-        errors = _quotients(column(key), factors) if key in rows[0] else None
-        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", errors, table)
+        of_phase = _quotients(column(key), factors) if key in rows[0] else None
+        yield CertifiedQuantity((PHASE,), column(PHASE), "deg", of_phase, table)

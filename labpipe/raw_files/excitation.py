@@ -1,6 +1,4 @@
-"""Test signals: sums of harmonics with chosen phases, and swept sines.
-
-Periodic test signals: sums of harmonics with equal amplitudes and chosen phases. PHASES by name.
+"""Test signals: sums of harmonics with equal amplitudes and chosen phases (PHASES by name), and swept sines.
 
 A multisine is x(t) = sum_k A cos(2 pi f_k t + phi_k) with lines f_k in a band; it is periodic in 1 / spacing.
 """
@@ -39,10 +37,9 @@ class Multisine:
         return float(peaks(self.lines, np.exp(1j * self.phases)[:, None])[0] / np.sqrt(self.lines.size / 2))
 
     def samples(self, sample_rate: float, periods: int) -> FloatArray:
-        """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms].
-
-        ConfigError when a period holds no whole number of samples, or the sampling rate is too low for the
-        highest line. Equation (spec-multisine).
+        """*periods* periods sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]. ConfigError when a
+        period holds no whole number of samples, or the sampling rate is too low for the highest line.
+        Equation (spec-multisine).
         """
         exact = sample_rate / self.spacing
         n_sample = round(exact)
@@ -84,6 +81,8 @@ def design_multisine(
         )
     if spacing <= 0 or rms <= 0:
         raise ConfigError("spacing and level must be positive")
+    if phases not in PHASES:
+        raise ConfigError(f"unknown phases '{phases}'", hint=f"known: {', '.join(PHASES)}")
     first, last = int(np.ceil(band[0] / spacing - 1e-9)), int(np.floor(band[1] / spacing + 1e-9))
     lines = np.arange(max(first, 1), last + 1)
     if odd_only:
@@ -95,15 +94,12 @@ def design_multisine(
             f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz",
             hint="widen the band or narrow the spacing",
         )
-    if phases not in PHASES:
-        raise ConfigError(f"unknown phases '{phases}'", hint=f"known: {', '.join(PHASES)}")
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 
 def _left_out(n_line: int, group: int, seed: int) -> IntArray:
-    """Indices of one line in every complete group of *group* lines.
-
-    The first and the last line stay, so that the band is kept.
+    """Indices of one line in every complete group of *group* lines. The first and the last line stay, so that
+    the band is kept.
     """
     starts = np.arange(1, n_line - group, group)
     return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
@@ -119,9 +115,7 @@ def schroeder_phases(
     seed: int = 0,  # noqa: ARG001 (one signature for the table)
 ) -> FloatArray:
     """phi_n = -pi n (n - 1) / N [rad], (n_line,), for the n-th of N lines of a flat spectrum (Schroeder
-    1970).
-
-    Equation (spec-schroeder).
+    1970). Equation (spec-schroeder).
     """
     n = np.arange(1, lines.size + 1)
     return -np.pi * n * (n - 1) / lines.size
@@ -162,13 +156,8 @@ PHASES: dict[str, Callable[[IntArray, int], FloatArray]] = {
 
 def _period(lines: IntArray, phases: FloatArray, n_sample: int) -> FloatArray:
     """One period of sum cos(2 pi k t + phi_k) on n_sample points."""
-    spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
-    spectrum[lines] = np.exp(1j * phases) * (n_sample / 2)
-    return fft.irfft(spectrum, n_sample)
+    return np.asarray(_signals(lines, np.exp(1j * phases)[:, None], n_sample)[0])
 
-
-# Swept sines as test signals: linear or logarithmic, up, down, or one after the other, with pauses in which
-# the rig comes to rest.
 
 LAWS = ("linear", "logarithmic")
 DIRECTIONS = ("up", "down", "up-down")
@@ -201,9 +190,7 @@ class Sweep:
 
     def samples(self, sample_rate: float, count: int) -> FloatArray:
         """*count* sweeps with their pauses sampled at *sample_rate* [Hz], (n_sample,) [unit of rms]; up-down
-        goes up first, then down.
-
-        ConfigError when the sampling rate is too low for the band.
+        goes up first, then down. ConfigError when the sampling rate is too low for the band.
         """
         if 2 * self.band[1] >= sample_rate:
             raise ConfigError(
@@ -213,17 +200,12 @@ class Sweep:
         time = np.arange(n_sample) / sample_rate
         size = np.sqrt(2) * self.rms * _fade(time / self.duration)
         quiet = np.zeros(round(self.pause * sample_rate))
-        falls = [
-            self.direction == "down" or (self.direction == "up-down" and number % 2 == 1)
-            for number in range(count)
-        ]
-        return np.concatenate(
-            [part for fall in falls for part in (size * np.sin(self.phase(time, fall)), quiet)]
-        )
+        falls = {"up": (False,), "down": (True,), "up-down": (False, True)}[self.direction]
+        sweeps = [np.append(size * np.sin(self.phase(time, fall)), quiet) for fall in falls]
+        return np.concatenate([sweeps[number % len(sweeps)] for number in range(count)])
 
     def phase(self, time: FloatArray, falling: bool = False) -> FloatArray:
         """2 pi times the integral of the frequency [rad] at *time* (n,) [s] after the start of one sweep.
-
         Linear f = f_1 + (f_2 - f_1) t / T; logarithmic f = f_1 (f_2 / f_1)^(t / T) (Farina 2000, eq. 5).
         Equation (spec-sweep).
         """
@@ -246,10 +228,8 @@ STATED = 192
 
 def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     """Largest |s_c(t)|, (n_signal,) [unit of amplitudes], of amplitudes (n_line, n_signal) [any unit] at
-    lines (n_line,) [multiples].
-
-    Of all times, whatever the sampling rate: never below the true one, and above it by 0.013 % at most.
-    Equation (plan-highest).
+    lines (n_line,) [multiples]. Of all times, whatever the sampling rate: never below the true one, and above
+    it by 0.013 % at most. Equation (plan-highest).
     """
     signals = one_period(lines, amplitudes, STATED)
     # Around its peak S a sum of sines up to line k is at least S cos(2 pi k (t - t_S)), and a sample is no
@@ -260,15 +240,12 @@ def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
 
 def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> FloatArray:
     """Signals over a period, (n_signal, n_sample) [unit of amplitudes], with *oversampling* samples or more
-    per period of the highest line.
-
-    Arguments as of `peaks`.
+    per period of the highest line. Arguments as of `peaks`.
     """
     return _signals(lines, amplitudes, int(fft.next_fast_len(oversampling * int(lines.max()), real=True)))
 
 
 def _signals(lines: IntArray, amplitudes: ComplexArray, n_sample: int) -> FloatArray:
-    """(n_signal, n_sample): one period."""
     spectrum = np.zeros((amplitudes.shape[1], n_sample // 2 + 1), np.complex128)
     spectrum[:, lines] = amplitudes.T * (n_sample / 2)
     return np.asarray(fft.irfft(spectrum, n_sample, axis=1))

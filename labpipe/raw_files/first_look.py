@@ -23,9 +23,8 @@ BLOCKS = 16
 
 @dataclass(frozen=True)
 class Excitation:
-    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact).
-
-    Band with power [Hz].
+    """The kind of a force; length: samples of a period (periodic) or of a block (random, impact). Band with
+    power [Hz].
     """
 
     kind: str
@@ -51,10 +50,8 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
 
 
 def find_period(signal: FloatArray) -> int:
-    """The period of a signal (n_sample,) [any unit] in samples, with at least two periods in the signal; 0
-    when it is not periodic.
-
-    A lag L counts when the correlation of x[n] and x[n + L] over all n exceeds ALIKE and is a local maximum.
+    """The period of a signal (n_sample,) [any unit] in samples, at least two of them in it; 0 for none. A lag
+    L counts when the correlation of x[n] and x[n + L] exceeds ALIKE and is a local maximum.
     """
     n = signal.size
     if n < 8 or not np.any(signal):
@@ -83,9 +80,8 @@ def find_period(signal: FloatArray) -> int:
 
 
 def hit_starts(force: FloatArray) -> IntArray:
-    """Samples at which hammer hits begin, (n_hit,).
-
-    None where the force (n_sample,) [N] is not near zero most of the time.
+    """Samples at which hammer hits begin, (n_hit,). None where the force (n_sample,) [N] is not near zero
+    most of the time.
     """
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
     if not 0 < rms < np.inf or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
@@ -100,11 +96,14 @@ def round_down(samples: int) -> int:
     return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
 
 
+def _excited(power: FloatArray) -> IntArray:
+    above_zero = np.append(0.0, power[1:])
+    return np.flatnonzero(above_zero > EXCITED * above_zero.max())
+
+
 def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
     whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
-    power = np.abs(fft.rfft(whole)) ** 2
-    power[0] = 0.0
-    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / period
+    lines = _excited(np.abs(fft.rfft(whole)) ** 2) * sample_rate / period
     return float(lines[0]), float(lines[-1])
 
 
@@ -112,26 +111,21 @@ def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
     length = max(force.size // BLOCKS, 8)
     blocks = force[: force.size // length * length].reshape(-1, length)
     power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)
-    power[0] = 0.0
-    lines = np.flatnonzero(power > EXCITED * power.max()) * sample_rate / length
+    lines = _excited(power) * sample_rate / length
     if not lines.size:
         # A force that does not vary, or holds no number, has power nowhere.
         return 0.0, 0.4 * sample_rate
     return float(lines[0]), float(min(lines[-1], 0.4 * sample_rate))
 
 
-# Envelope and spectrum of channels, fed block by block with constant memory.
-
-# Intervals of an envelope: between half of this and this, enough for the width of a page.
 STRETCHES = 1024
 # Samples of one block of the spectrum.
 BLOCK = 4096
 
 
 class EnvelopeTrack:
-    """Minima and maxima over intervals of equal length.
-
-    Pairs of intervals are merged when there are too many.
+    """Minima and maxima over intervals of equal length. Pairs of intervals are merged when there are too
+    many.
     """
 
     def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
@@ -152,11 +146,8 @@ class EnvelopeTrack:
             if self._low.shape[0] < self._most:
                 break
             # The number of intervals is even here, so that they merge in pairs.
-            self._low, self._high, self._step = (
-                _extremes(self._low, 2)[0],
-                _extremes(self._high, 2)[1],
-                2 * self._step,
-            )
+            self._low, self._high = _extremes(self._low, 2)[0], _extremes(self._high, 2)[1]
+            self._step *= 2
         self._rest = pending
 
     def envelopes(self) -> tuple[Envelope, ...]:
@@ -171,14 +162,12 @@ class EnvelopeTrack:
 def _extremes(rows: FloatArray, step: int) -> tuple[FloatArray, FloatArray]:
     """(smallest, largest) of every *step* rows, missing numbers passed over."""
     stretches = rows.reshape(-1, step, rows.shape[1])
-    low, high = np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
-    return low, high
+    return np.fmin.reduce(stretches, axis=1), np.fmax.reduce(stretches, axis=1)
 
 
 class SpectrumTrack:
-    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted).
-
-    Blocks with missing numbers are skipped.
+    """Mean power spectrum over blocks without overlap (Hann window, mean subtracted). Blocks with missing
+    numbers are skipped.
     """
 
     def __init__(self, n_channel: int, block: int = BLOCK) -> None:

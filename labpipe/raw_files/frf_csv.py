@@ -1,11 +1,11 @@
 """Frequency responses as CSV: ``frequency_hz``, then ``o/i:re``, ``o/i:im`` and, if available, ``o/i:var``,
-``o/i:coh``.
+``o/i:coh``; in comments above the form, and the dof of a response or force that is not called by it.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +20,15 @@ from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelate
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
-_COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>[^:]+):(?P<part>re|im|var|coh)$")
+_COLUMN = re.compile(r"^(?P<output>[^/]+)/(?P<input>.+):(?P<part>re|im|var|coh)$")
 FREQUENCY = "frequency_hz"
 # Coherence with what single precision and few printed digits add to 1.
 HIGHEST = 1.001
 
 
 def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of an FRF table in SI units; DataError names missing columns.
-
-    A variance per element becomes a covariance without correlation between the elements.
+    """The response of an FRF table in SI units; DataError names missing columns. A variance per element
+    becomes a covariance without correlation between the elements.
     """
     table = CsvTable(path)
     check_columns(table, [FREQUENCY])
@@ -51,12 +50,18 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     variance = part("var")
     if variance is not None and np.any(variance < 0):
         raise DataError(f"holds the negative variance {variance.min():g}", path)
+    form, dofs = _notes(path)
+
+    def ports(side: str, labels: Iterable[str]) -> tuple[Port, ...]:
+        named = ((label, port_of(dofs.get((side, label), label))) for label in labels)
+        return tuple(Port(label, label, port.dof, port.angle) for label, port in named)
+
     return FrequencyResponse(
         frequency=columns[FREQUENCY],
         matrix=part("re") + 1j * part("im"),
-        outputs=tuple(port_of(label) for label in outputs),
-        inputs=tuple(port_of(label) for label in inputs),
-        form=_form(path),
+        outputs=ports("response", outputs),
+        inputs=ports("force", inputs),
+        form=form,
         covariance=None if variance is None else uncorrelated(variance),
         coherence=checked_coherence(part("coh"), path),
         name=name,
@@ -65,8 +70,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
 
 def checked_coherence(values: Any, where: Path | str) -> Any:
     """Coherences [1] of any shape as they are, None without; DataError for one that is none."""
-    if values is not None and np.any(np.abs(values) > HIGHEST):
-        what = f"holds the coherence {np.max(np.abs(values)):g}"
+    if values is not None and np.any((beside := np.abs(values - 0.5)) > HIGHEST - 0.5):
+        what = f"holds the coherence {values.flat[np.argmax(beside)]:g}"
         raise DataError(what, where, "they lie between 0 and 1, and are not in per cent")
     return values
 
@@ -80,19 +85,25 @@ def port_of(label: str) -> Port:
     return Port(label, label, label, angle if " " in label or label in AXIS_ANGLES else None)
 
 
-def _form(path: Path) -> str:
-    """The form named in the comment lines above the table; receptance by default."""
+def _notes(path: Path) -> tuple[str, dict[tuple[str, str], str]]:
+    """What the comment lines above the table say: the form, receptance by default, and the dofs of ports by
+    their side and label.
+    """
+    form, dofs = "", dict[tuple[str, str], str]()
     with open_text(path, "utf-8-sig") as lines:
         for number, line in enumerate(lines, 1):
             comment = line.strip(' \r\n\t"')
             if comment and not comment.startswith("#"):
                 break
-            match = re.match(r"#\s*form\s*[:=]\s*(\w+)", comment.lower())
-            if match and match[1] not in FORMS:
-                raise DataError(f"unknown form '{match[1]}'", f"{path}:{number}", nearest(match[1], FORMS))
-            if match:
-                return match[1]
-    return "receptance"
+            if match := re.match(r"#\s*form\s*[:=]\s*(\w+)", comment.lower()):
+                form = form or match[1]
+                if match[1] not in FORMS:
+                    raise DataError(
+                        f"unknown form '{match[1]}'", f"{path}:{number}", nearest(match[1], FORMS)
+                    )
+            elif match := re.match(r"#\s*(response|force) (.+) in (.+)", comment):
+                dofs[match[1], match[2]] = match[3]
+    return form or "receptance", dofs
 
 
 def cube(outputs: Sequence[Any], inputs: Sequence[Any], values: Callable[[Any, Any], Any]) -> Any:
@@ -101,7 +112,10 @@ def cube(outputs: Sequence[Any], inputs: Sequence[Any], values: Callable[[Any, A
 
 
 def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
-    """Write the response as `read_frf_csv` reads it."""
+    slashed = next((port.label for port in response.outputs if "/" in port.label), None)
+    if slashed is not None:
+        what = f"'{slashed}' cannot be a response in a table, where o/i is response per force"
+        raise DataError(what, hint="--to mat, uff or parquet, or another dof in the rig file")
     columns = {FREQUENCY: response.frequency}
     variance = response.variance
     for o, output in enumerate(response.outputs):
@@ -114,5 +128,8 @@ def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
             if response.coherence is not None:
                 columns[f"{pair}:coh"] = response.coherence[:, o, i]
     with path.open("w", encoding="utf-8", newline="\n") as stream:
-        stream.write(f"# form: {response.form}\n{','.join(str(cell(name)) for name in columns)}\n")
+        stream.write(f"# form: {response.form}\n")
+        for side, ports in (("response", response.outputs), ("force", response.inputs)):
+            stream.writelines(f"# {side} {p.label} in {p.dof}\n" for p in ports if p.dof != p.label)
+        stream.write(f"{','.join(str(cell(name)) for name in columns)}\n")
         np.savetxt(stream, np.stack(list(columns.values()), 1), "%.17g", delimiter=",")

@@ -42,7 +42,6 @@ def complex_of(field: str, decimal: str) -> complex:
 
 
 def is_complex(field: str, decimal: str) -> bool:
-    """True if a field is one number, real or complex, with this decimal sign."""
     try:
         complex_of(field, decimal)
     except ValueError:
@@ -61,7 +60,6 @@ class TextColumns:
         self._rows = self._read()
 
     def _read(self) -> list[tuple[int, list[str]]]:
-        """(line number from 1, fields) of every row; DataError for a row of another length."""
         layout, rows = self.layout, []
         with open_text(self.path, layout.encoding) as lines:
             for number, line in enumerate(lines, 1):
@@ -75,9 +73,8 @@ class TextColumns:
         return rows
 
     def column(self, index: int) -> ComplexArray:
-        """The numbers of a column (n_row,) [unit of the file].
-
-        DataError names the line of the first that is none.
+        """The numbers of a column (n_row,) [unit of the file]. DataError names the line of the first that is
+        none.
         """
         values = np.empty(len(self._rows), np.complex128)
         for place, (number, fields) in enumerate(self._rows):
@@ -90,19 +87,15 @@ class TextColumns:
         return values
 
     def line(self, row: int) -> str:
-        """The place of a row in the file."""
         return f"{self.path}:{self._rows[row][0]}"
 
-
-# The columns of a table, or the variables of a file, by the name or number under which an entry describes
-# them.
 
 VARIABLE_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf", ".npz")
 
 
 class DescribedColumns:
     """*names* of columns or variables, their *units* where the file states them, and what reads one by its
-    place among the names; *signals*: structures of Simcenter Test.Lab among the variables.
+    place; *signals*: structures of Simcenter Test.Lab among the variables.
     """
 
     def __init__(
@@ -120,7 +113,6 @@ class DescribedColumns:
         self._units, self._read = units, read
 
     def _index(self, described: str) -> int:
-        """The place of a name, else of a number from 1; DataError with the nearest name."""
         count = self.names.count(described)
         if count == 1:
             return self.names.index(described)
@@ -163,13 +155,11 @@ class DescribedColumns:
         return unit
 
     def in_decibels(self, described: str) -> bool:
-        """Whether a column's title says so."""
         return self.word == "column" and re.search(r"\bdB\b", self.names[self._index(described)]) is not None
 
     def values(self, described: str) -> Any:
-        """The numbers [unit of the file], complex, (n_value,) or of any shape.
-
-        DataError with the place of the first that is missing.
+        """The numbers [unit of the file], complex, (n_value,) or of any shape. DataError with the place of
+        the first that is missing.
         """
         numbers = self._numbers(described)
         if numbers.dtype.kind not in "iufc" or not numbers.size:
@@ -218,28 +208,17 @@ def columns_of_variables(path: Path) -> DescribedColumns:
     if plain_suffix(path) not in VARIABLE_SUFFIXES:
         what = f"files with the ending '{plain_suffix(path)}' hold columns, no variables"
         raise DataError(what, path, "write 'columns' in place of 'variables'")
-    signals: list[Signals] = []
-    if plain_suffix(path) == ".npz":
-        arrays = load_arrays(path)
-        names = list(arrays)
+    in_hdf5 = plain_suffix(path) != ".npz" and is_hdf5(path)
+    fields: dict[str, Any] = {}
+    if not in_hdf5:
+        fields = load_arrays(path) if plain_suffix(path) == ".npz" else load_fields(path)
+    names = [name.replace("/", ".") for name in hdf5_names(path)] if in_hdf5 else list(fields)
 
-        def read(index: int) -> Any:
-            return arrays[names[index]]
+    def read(index: int) -> Any:
+        stored = names[index].replace(".", "/")
+        return load_hdf5_variables(path, [stored])[stored] if in_hdf5 else fields[names[index]]
 
-    elif is_hdf5(path):
-        names = [name.replace("/", ".") for name in hdf5_names(path)]
-
-        def read(index: int) -> Any:
-            stored = names[index].replace(".", "/")
-            return load_hdf5_variables(path, [stored])[stored]
-
-    else:
-        fields = load_fields(path)
-        names, signals = list(fields), signals_of(fields)
-
-        def read(index: int) -> Any:
-            return fields[names[index]]
-
+    signals = signals_of(fields)
     units = {part.values: part.unit for part in signals}
     return DescribedColumns(path, names, units, read, lambda _row: str(path), "variable", signals)
 
@@ -259,8 +238,8 @@ def equal_steps(source: DescribedColumns, size: int) -> tuple[dict[str, str], Fl
 
 
 def _step_by_scalars(source: DescribedColumns, size: int) -> float:
-    """The distance of *size* lines [Hz] where two numbers of the file are the samples of a block and their
-    rate; 0 where none are.
+    """The distance of *size* lines [Hz] by the samples of a block and their rate among the numbers of the
+    file; 0 without.
     """
     scalars: dict[str, float] = {}
     for name in source.names:
@@ -286,10 +265,8 @@ class Dofs:
 
 
 def read_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
-    """The response of a file by the description of its columns or variables, in SI units.
-
-    DataError names file and, in a text, the line: for a missing column, a cell without a number, a unit that
-    the file contradicts.
+    """The response of a file by the description of its columns or variables, in SI units. DataError with file
+    and line for a missing column, a cell without a number, a unit that the file contradicts.
     """
     table = layout.table
     assert table is not None
@@ -347,7 +324,6 @@ def _labels(
 
 
 def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayout) -> ComplexArray:
-    """One element (n_frequency,) [unit of the file]."""
     first, *second = (getattr(columns, name) for name in columns.given)
     _check_stated(source, first, columns.given[0], layout)
     if not second:
@@ -373,7 +349,6 @@ def _element(source: DescribedColumns, columns: ElementColumns, layout: FrfLayou
 
 
 def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfLayout) -> None:
-    """DataError when the file itself states another unit than that of the *part* of a complex number."""
     stated, described = source.unit(column), layout.unit or FORMS[layout.form]
     if part != "amplitude_db" and source.in_decibels(column):
         what = f"column '{column}' is in decibels by the file's own header"
@@ -399,7 +374,6 @@ def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
 
 
 def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) -> FloatArray:
-    """The frequencies (n_frequency,) [Hz]; DataError where they do not increase."""
     column = table.frequency or table.omega
     if not column:
         if n_line is None:
@@ -439,9 +413,8 @@ def _scalar(source: DescribedColumns, text: str) -> float:
 def _whole(
     values: Any, shape: tuple[int, int, int], axes: tuple[str, ...], source: DescribedColumns, name: str
 ) -> Any:
-    """An array in the order frequency, output, input.
-
-    DataError when its size or the order of its dimensions is not clear.
+    """An array in the order frequency, output, input. DataError when its size or the order of its dimensions
+    is not clear.
     """
     orders = [tuple(AXES.index(axis) for axis in axes)] if axes else list(permutations(range(3)))
     # MATLAB drops trailing dimensions of 1, and a vector may lie either way.

@@ -16,7 +16,7 @@ import numpy as np
 
 from labpipe.errors import DataError
 from labpipe.quantities import UnitError, parse_value
-from labpipe.raw_files.uff import UFF_SUFFIXES
+from labpipe.raw_files.uff import UFF_SUFFIXES, real
 from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
 
@@ -28,9 +28,8 @@ _BEAMS = (11, 21, 22, 23, 24)
 
 
 def read_geometry_uff(path: Path) -> Geometry:
-    """All nodes as points named by their labels, joined along trace lines and around elements.
-
-    DataError where there are none.
+    """All nodes as points named by their labels, joined along trace lines and around elements. DataError
+    where there are none.
     """
     nodes: dict[int, list[float]] = {}
     pairs: list[tuple[int, int]] = []
@@ -38,13 +37,13 @@ def read_geometry_uff(path: Path) -> Geometry:
     for number, lines in _datasets(path):
         try:
             if number in (NODES, DOUBLE_NODES):
-                nodes |= _nodes(lines)
+                _add_nodes(nodes, lines, path)
             elif number == TRACE:
                 pairs += _trace(lines)
             elif number == ELEMENTS:
                 pairs += _elements(lines)
             elif number == UNITS:
-                length = _real(lines[1].split()[0])
+                length = real(lines[1].split()[0])
         except (ValueError, IndexError):
             raise DataError(
                 f"the record {number} cannot be read", path, "numbers are missing, or are none"
@@ -73,22 +72,17 @@ def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
             yield int(kind), lines[1:]
 
 
-def _real(word: str) -> float:
-    return float(word.upper().replace("D", "E"))
-
-
-def _nodes(lines: list[str]) -> dict[int, list[float]]:
+def _add_nodes(nodes: dict[int, list[float]], lines: list[str], path: Path) -> None:
     words = " ".join(lines).split()
     if len(words) % _NODE_WORDS:
         raise ValueError
-    return {
-        int(words[n]): [_real(word) for word in words[n + 4 : n + 7]]
-        for n in range(0, len(words), _NODE_WORDS)
-    }
+    for n in range(0, len(words), _NODE_WORDS):
+        label, position = int(words[n]), list(map(real, words[n + 4 : n + 7]))
+        if nodes.setdefault(label, position) != position:
+            raise DataError(f"node {label} lies at two places", path, "leave one of them out")
 
 
 def _trace(lines: list[str]) -> list[tuple[int, int]]:
-    """Pairs of neighbours along a trace line; 0 lifts the pen."""
     labels = [int(word) for word in " ".join(lines[2:]).split()]
     return [(a, b) for a, b in pairwise(labels) if a and b]
 
@@ -128,10 +122,8 @@ def read_geometry(path: Path) -> Geometry:
 
 def read_geometry_csv(path: Path) -> Geometry:
     """Points as rows under `point, x [mm], y [mm], z [mm], to`; *to*: points that a line joins to, separated
-    by blanks.
-
-    Without a column z all points lie at 0; a coordinate without a unit is in metres; rows that begin with #
-    are comments.
+    by blanks. Without z all lie at 0, without a unit coordinates are in metres; rows that begin with # are
+    comments.
     """
     try:
         lines = path.read_text("utf-8-sig").splitlines()

@@ -23,12 +23,9 @@ BESIDE = 0.1
 
 
 class JoinedTable:
-    """The columns of several tables. Satisfies Table.
-
-    A name that several files have is written STEM/NAME for all files but the first; what stands twice then is
-    listed twice. With *time*, the name of
-    their common time column, rows are those of equal times; without, row 1 stands beside row 1. What some
-    files have and others have not is cut, and `findings` says so once the table has been read.
+    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all but
+    the first. With *time*, the name of their common time column, rows are those of equal times; without, row
+    1 stands beside row 1. What some files lack is cut, and `findings` says so once the table has been read.
     """
 
     def __init__(self, tables: Sequence[Table], time: str | None) -> None:
@@ -54,17 +51,12 @@ class JoinedTable:
         ]
         for name, rate in rates[1:]:
             if abs(rate / rates[0][1] - 1) > SAME_RATE:
-                raise DataError(
-                    f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz",
-                    hint="one run has one rate",
-                )
+                what = f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz"
+                raise DataError(what, hint="one run has one rate")
         return rates[0][1] if rates else None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file].
-
-        DataError for times that do not fit together.
-        """
+        """Consecutive chunks (n, n_column) [unit of the file]; DataError for times that do not fit."""
         places = [self._place[column] for column in columns]
         members = sorted({number for number, _ in places})
         # The time of every file is read along, to be compared.
@@ -107,22 +99,15 @@ class JoinedTable:
             if not abs(step / steps[0] - 1) < max(
                 1 / min(firsts[0].shape[0], firsts[number].shape[0]), SAME_RATE
             ):
-                name = self._tables[members[number]].path.name
-                what = (
-                    f"the time steps of {name} ({step:g}) differ from those of {self.path.name} "
-                    f"({steps[0]:g})"
-                )
-                raise DataError(
-                    what, hint="where that comes from times of few digits, by: sample joins row by row"
-                )
+                name, first = self._tables[members[number]].path.name, f"{self.path.name} ({steps[0]:g})"
+                what = f"the time steps of {name} ({step:g}) differ from those of {first}"
+                hint = "where that comes from times of few digits, by: sample joins row by row"
+                raise DataError(what, hint=hint)
         for number, start in enumerate(starts):
             offset = (start - starts[0]) / steps[0]
-            if abs(offset - round(offset)) > BESIDE:
+            if (beside := abs(offset - round(offset))) > BESIDE:
                 name = self._tables[members[number]].path.name
-                what = (
-                    f"the times of {name} lie {abs(offset - round(offset)):.2f} steps beside those of "
-                    f"{self.path.name}"
-                )
+                what = f"the times of {name} lie {beside:.2f} steps beside those of {self.path.name}"
                 raise DataError(what, self.path, "resample one of them; by: sample joins row by row")
         skipped = [round((max(starts) - start) / steps[0]) for start in starts]
         return [chain([first], stream) for first, stream in zip(firsts, streams, strict=True)], skipped
@@ -134,15 +119,11 @@ class JoinedTable:
             beside = np.abs(block[:, 0] - first) > 0.5 * step
             if first.size > 1 and beside.any():
                 n = int(np.argmax(beside))
-                name = self._tables[members[number]].path.name
-                what = (
-                    f"the times of {name} and {self.path.name} run apart: {block[n, 0]:g} and "
-                    f"{first[n]:g} at common row {row + n + 1}"
-                )
-                raise DataError(what, hint="a lost sample, or two clocks")
+                names = f"{self._tables[members[number]].path.name} and {self.path.name}"
+                at = f"{block[n, 0]:g} and {first[n]:g} at common row {row + n + 1}"
+                raise DataError(f"the times of {names} run apart: {at}", hint="a lost sample, or two clocks")
 
     def findings(self) -> tuple[Finding, ...]:
-        """What was cut, once all chunks have been read."""
         return tuple(
             note(
                 "cut",
@@ -159,9 +140,8 @@ TRUE_SHARE = 0.2
 
 
 class ResampledTable:
-    """Channels at several rates of one file at one *rate* [Hz], by cubic splines. Satisfies Table.
-
-    Rows reach over what all of *tables* cover. `findings` says what was resampled, once it has been read.
+    """Channels at several rates of one file at one *rate* [Hz], by cubic splines. Satisfies Table. Rows reach
+    over what all of *tables* cover. `findings` says what was resampled, once it has been read.
     """
 
     def __init__(self, tables: Sequence[Table], rate: float) -> None:
@@ -184,9 +164,8 @@ class ResampledTable:
         self._rates: dict[int, float] = {}
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """One chunk (n, n_column) [unit of the file] at the common rate.
-
-        DataError for a channel that is faster than that, for it would fold back.
+        """One chunk (n, n_column) [unit of the file] at the common rate. DataError for a channel that is
+        faster than that, for it would fold back.
         """
         from scipy.interpolate import CubicSpline
 
@@ -217,7 +196,6 @@ class ResampledTable:
         yield np.column_stack([values[n][:, splines[n][1].index(name)] for n, name in chosen])
 
     def findings(self) -> tuple[Finding, ...]:
-        """What was resampled, once the chunks have been read."""
         assert self.sample_rate is not None
         return tuple(
             note(
@@ -237,7 +215,6 @@ def _time_of(table: Table) -> str:
 
 
 def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) [s] and rows (n, n_name) [unit of the file] of a table."""
     time = _time_of(table)
     rows = np.concatenate(list(table.chunks([time, *names] if time else names)))
     if rows.shape[0] < 2 or not np.isfinite(rows).all():

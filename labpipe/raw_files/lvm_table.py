@@ -31,9 +31,7 @@ UNITS = {
 @dataclass(frozen=True)
 class LvmHeader:
     """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from
-    1.
-
-    spectrum: the X values are frequencies [Hz], and no rate follows from their steps. starts: X0 of every
+    1. spectrum: the X values are frequencies [Hz], and no rate follows from their steps. starts: X0 of every
     field [s]; counts: its number of samples, where channels differ in their rates, else 0.
     """
 
@@ -51,12 +49,10 @@ class LvmHeader:
 
 
 class LvmTable:
-    """The channels of a LabVIEW measurement file. Satisfies Table.
-
-    Without columns of X values the rate is that of Delta_X; with them it is for the rig's `time: X_Value`,
-    and further segments, each under a header of its own, follow in their order. Of channels at several rates
-    the table holds those of the highest, or of *rate* [Hz], and `others` are the tables of the other rates.
-    DataError for another kind of text, and for segments without X values.
+    """The channels of a LabVIEW measurement file. Satisfies Table. Without columns of X values the rate is
+    that of Delta_X; with them it is for the rig's `time: X_Value`, and further segments follow in their
+    order. Of several rates the table holds the channels of the highest, or of *rate* [Hz]; `others` are the
+    tables of the other ones. DataError for another kind of text, and for segments without X values.
     """
 
     def __init__(self, path: Path, rate: float | None = None) -> None:
@@ -83,7 +79,6 @@ class LvmTable:
 
     @property
     def others(self) -> tuple[LvmTable, ...]:
-        """The tables of the channels at other rates."""
         rates = sorted(set(self._header.rates) - {self.sample_rate}, reverse=True)
         return tuple(LvmTable(self.path, rate) for rate in rates)
 
@@ -112,9 +107,8 @@ class LvmTable:
         raise DataError("is cut off in its header" if ended < 2 else untitled, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file].
-
-        DataError names line and column of what is no number.
+        """Consecutive chunks (n, n_column) [unit of the file]. DataError names line and column of what is no
+        number.
         """
         places = [self._places[name] for name in columns]
         rows: list[list[float]] = []
@@ -131,8 +125,10 @@ class LvmTable:
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
-                if number >= self._header.first_line:
-                    self._check_segment(number)
+                if number >= self._header.first_line and X_VALUE not in self._places:
+                    hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
+                    what = "a second segment begins, and no X values say when"
+                    raise DataError(what, f"{self.path}:{number}", hint)
                 inside = True
             elif inside and first in ("Channels", "Notes"):
                 inside = False
@@ -140,21 +136,13 @@ class LvmTable:
                 yield number, line
                 left -= 1
 
-    def _check_segment(self, number: int) -> None:
-        if X_VALUE not in self._places:
-            hint = "write X values ('X value columns') from LabVIEW, or one file per segment"
-            what = "a second segment begins, and no X values say when"
-            raise DataError(what, f"{self.path}:{number}", hint)
-
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
         fields = line.split(self._header.delimiter)
         row = []
         for place in places:
             text = fields[place].strip() if place < len(fields) else ""
             try:
-                row.append(
-                    float(text.replace(",", ".") if self._header.decimal == "," else text) if text else np.nan
-                )
+                row.append(float(_pointed(text, self._header.decimal)) if text else np.nan)
             except ValueError:
                 what = f"column '{self._header.titles[place]}': '{text[:40]}' is not a number"
                 raise DataError(what, f"{self.path}:{number}") from None
@@ -194,7 +182,7 @@ def _header(
         # Every channel has X values of its own, or none: its step says the same.
         rates = tuple(_rate([text], decimal, path) or 0.0 for text in texts)
         if all(0 < rate < float("inf") for rate in rates) and len(set(rates)) > 1:
-            counts = tuple(_whole(text) for text in padded["Samples"])
+            counts = tuple(int(text) if text.isdigit() else 0 for text in padded["Samples"])
             starts = tuple(_seconds(text, decimal) for text in padded["X0"])
             header = partial(header, rates=rates, counts=counts, starts=starts)
             return header(used=tuple(channels), sample_rate=None)
@@ -202,19 +190,19 @@ def _header(
     return header(used=tuple(used), sample_rate=rate)
 
 
-def _whole(text: str) -> int:
-    return int(text) if text.isdigit() else 0
+def _pointed(text: str, decimal: str) -> str:
+    return text.replace(",", ".") if decimal == "," else text
 
 
 def _seconds(text: str, decimal: str) -> float:
     try:
-        return float((text.replace(",", ".") if decimal == "," else text) or 0)
+        return float(_pointed(text, decimal) or 0)
     except ValueError:
         return 0.0
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
-    texts = {step.replace(",", ".") if decimal == "," else step for step in steps if step}
+    texts = {_pointed(step, decimal) for step in steps if step}
     if not texts:
         return None
     try:

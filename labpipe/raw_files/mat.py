@@ -17,13 +17,14 @@ from typing import Any
 import h5py
 import numpy as np
 import scipy
-from scipy.io.matlab import MatlabOpaque, MatReadError
+from scipy.io.matlab import MatlabOpaque
 
 from labpipe.errors import DataError
+from labpipe.quantities import may_agree
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, distinct, is_numeric, rate_of
 from labpipe.raw_files.simcenter import labels_and_units, signals_of
 from labpipe.raw_files.table import check_in_child
-from labpipe.raw_files.text_table import check_filled, not_readable
+from labpipe.raw_files.text_table import check_filled, reading
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 
@@ -33,7 +34,7 @@ PART = 1 << 20
 _OPTIONAL = ("covariance", "coherence")
 _MARKS = ("frequency_hz", "H", "form")
 _PORTS = tuple(f"{side}{part}" for side in ("output", "input") for part in ("s", "_dofs", "_angles_rad"))
-_KNOWN = (*_MARKS, *_PORTS, *_OPTIONAL, "covariance_dof")
+_KNOWN = (*_MARKS, *_PORTS, *_OPTIONAL, "covariance_dof", "unit")
 
 
 def check_hdf5(path: Path) -> None:
@@ -42,7 +43,6 @@ def check_hdf5(path: Path) -> None:
 
 
 def touch(path: Path) -> None:
-    """Read all attributes and datasets of a file."""
     with h5py.File(path, "r") as file:
         dict(file.attrs.items())
         file.visititems(_touch)
@@ -57,20 +57,14 @@ def _touch(_: str, item: object) -> None:
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
-    """The variables of these names in the file, arrays in MATLAB's order of dimensions, texts as arrays of
-    str.
-
-    MATLAB stores columns first, so its dimensions are reversed; a complex number is a pair (real, imag), a
-    text its UTF-16 codes, a cell references to its contents. Links into other files are not followed.
-    DataError when the file is damaged.
+    """The variables of these names, arrays in MATLAB's order of dimensions, texts as arrays of str. MATLAB
+    stores columns first, a complex number as (real, imag), a text as UTF-16 codes, a cell as references.
+    Links into other files are not followed. DataError for a damaged file.
     """
     check_hdf5(path)
-    try:
-        with h5py.File(path, "r") as file:
-            hard = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
-            return {name: _value(file, file[name]) for name in hard if isinstance(file[name], h5py.Dataset)}
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
-        raise not_readable(path, "HDF5 file", error) from None
+    with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
+        hard = [n for n in names if isinstance(file.get(n, getlink=True), h5py.HardLink)]
+        return {name: _value(file, file[name]) for name in hard if isinstance(file[name], h5py.Dataset)}
 
 
 def hdf5_names(path: Path) -> tuple[str, ...]:
@@ -82,16 +76,12 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
             names.append(name)
 
     check_hdf5(path)
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(add)
-    except (OSError, RuntimeError, KeyError) as error:
-        raise not_readable(path, "HDF5 file", error) from None
+    with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
+        file.visititems(add)
     return tuple(names)
 
 
 def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
-    """True if a readable HDF5 file holds data sets of all these names."""
     check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
@@ -131,10 +121,7 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 def check_elements(path: Path) -> None:
     """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
-    size.
-
-    Compressed elements are unpacked (zlib.error for a wrong checksum). Versions 4 and 7.3 are checked by
-    their readers.
+    size; zlib.error for a wrong checksum. Versions 4 and 7.3 are checked by their readers.
     """
     content = path.read_bytes()
     if 0 not in content[:4]:
@@ -144,7 +131,6 @@ def check_elements(path: Path) -> None:
 
 
 def _check(content: memoryview, begin: int, end: int, order: str, top: bool = False) -> int:
-    """Check the elements from *begin* to *end*, including those inside matrices; their number."""
     number = 0
     while begin < end:
         kind, start, size, following = _element(content, begin, end, order)
@@ -198,15 +184,9 @@ def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None
 # MATLAB files of versions 4 to 7, and of 7.3 as HDF5; no content is executed or unpickled.
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_BROKEN = (
-    ValueError, TypeError, OSError, KeyError, IndexError, EOFError, NotImplementedError, OverflowError,
-    MemoryError, UnicodeDecodeError,
-    struct.error, zlib.error, MatReadError,
-)  # fmt: skip
 
 
 def is_hdf5(path: Path) -> bool:
-    """True for HDF5, as written by MATLAB 7.3 after a block of 512 bytes."""
     with path.open("rb") as stream:
         head = stream.read(520)
     return head.startswith(_HDF5) or head[512:] == _HDF5
@@ -215,19 +195,16 @@ def is_hdf5(path: Path) -> bool:
 def load_variables(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
     check_filled(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            check_elements(path)
-            variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
-    except _BROKEN as error:
-        raise not_readable(path, "MATLAB file", error) from None
+    with reading(path, "MATLAB file"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_elements(path)
+        variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
     return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """(name, array) of a variable and of the fields of a structure ("run.x"), or of each structure of an
-    array or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as MATLAB writes it).
+    """(name, array) of a variable, of the fields of a structure ("run.x"), or of each structure of an array
+    or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as in MATLAB).
     """
     names = getattr(getattr(value, "dtype", None), "names", None)
     if (
@@ -255,8 +232,8 @@ _SAMPLES, _NAMES, _UNIT_FIELDS = ("data", "values", "y"), ("name", "label"), ("u
 
 
 def _named_channels(arrays: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
-    """For arrays in a structure that also says a name or a unit: key -> the column's name, where no two
-    channels share it; key -> unit.
+    """Of arrays in a structure with a name or a unit: key -> the column's name, where no two share it; key ->
+    unit.
     """
     lower = {key.lower(): key for key in arrays}
     names: dict[str, str] = {}
@@ -279,17 +256,15 @@ def _named_channels(arrays: dict[str, Any]) -> tuple[dict[str, str], dict[str, s
 
 
 def load_fields(path: Path) -> dict[str, Any]:
-    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x".
-
-    DataError as `load_variables`.
+    """The variables of a MATLAB file up to version 7, and the fields of its structures as "run.x". DataError
+    as `load_variables`.
     """
     return dict(entry for name, value in load_variables(path).items() for entry in _fields(name, value))
 
 
 def mat_table(path: Path) -> ArraysTable:
-    """The vectors of a MATLAB file as a table.
-
-    A structure ``units`` with one text per vector gives their units.
+    """The vectors of a MATLAB file as a table. A structure ``units`` with one text per vector gives their
+    units.
     """
     if is_hdf5(path):
         return hdf5_table(path)
@@ -329,12 +304,9 @@ def lines_of(value: Any) -> list[str]:
 
 
 def text_of(value: Any) -> str:
-    """A char variable as text, '' for anything else."""
     array = np.asarray(value)
     return str(array.flat[0]) if array.dtype.kind == "U" and array.size == 1 else ""
 
-
-# HDF5 files (and MATLAB 7.3): the longest data sets of equal length are the channels, read block by block.
 
 _UNITS, _SENSITIVITIES = ("unit", "units", "unit_string", "y_unit"), ("sensitivity",)
 # Longest list of texts that may describe channels.
@@ -343,20 +315,15 @@ MOST_TEXTS = 10_000
 
 def hdf5_table(path: Path) -> ArraysTable:
     """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError
-    when it is damaged.
-
-    Links into other files are not followed.
+    when it is damaged. Links into other files are not followed.
     """
-    if path.stat().st_size == 0:
-        raise DataError("the file is empty", path)
+    check_filled(path)
     check_hdf5(path)
-    try:
+    with reading(path, "HDF5 file"):
         file = h5py.File(path, "r")
         sets = _numeric_sets(file)
         scalars = {name: float(np.asarray(item[()]).item()) for name, item in sets.items() if item.size == 1}
         scalars |= _rate_attributes(file, sets)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise DataError(f"is not a readable HDF5 file ({str(error).splitlines()[0][:80]})", path) from None
     vectors = {key: item for key, item in sets.items() if item.size > 1}
     columns = distinct(
         (pair for key, item in vectors.items() for pair in columns_of(key, item).items()), path
@@ -370,7 +337,6 @@ def hdf5_table(path: Path) -> ArraysTable:
 
 
 def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
-    """Data sets of texts by name; of MATLAB's chars and cells nothing is read here."""
     texts: dict[str, list[str]] = {}
 
     def add(name: str, item: Any) -> None:
@@ -413,7 +379,6 @@ def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
 
 
 def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
-    """The first attribute of a column's data set that is named as one of *keys*, in letters of any size."""
     item: Any = sets.get(name)
     if item is None:
         item = sets.get(name.rpartition("_")[0])
@@ -454,16 +419,14 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 
 def holds_response(path: Path) -> bool:
-    """True if a readable MATLAB or HDF5 file holds a response."""
     if is_hdf5(path):
         return has_hdf5_variables(path, _MARKS)
     return set(_MARKS) <= load_variables(path).keys()
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
-    """The response of a file written by `write_frf_mat`.
-
-    DataError names a missing variable or one of wrong size.
+    """The response of a file written by `write_frf_mat`. DataError names a missing variable or one of wrong
+    size.
     """
     variables = load_hdf5_variables(path, _KNOWN) if is_hdf5(path) else load_variables(path)
     needed = ("frequency_hz", "H", "form", "outputs", "inputs")
@@ -471,6 +434,10 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     if missing:
         hint = "frequency_hz, H (frequency, output, input), form, outputs and inputs make a response"
         raise DataError(f"lacks the variable {', '.join(missing)}", path, hint)
+    form, unit = (text_of(variables.get(key, "")) for key in ("form", "unit"))
+    if unit and form in FORMS and not may_agree(unit, FORMS[form]):
+        what = f"H is in {unit} by the variable unit, a {form} in {FORMS[form]} is needed"
+        raise DataError(what, path, "describe it in the entry: {file: FILE, variables: {...}, unit: ...}")
     outputs, inputs = (_ports(variables, side, path) for side in ("output", "input"))
     frequency = _numbers(variables, "frequency_hz", path).ravel()
     shape = (frequency.size, len(outputs), len(inputs))
@@ -479,7 +446,7 @@ def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
     # MATLAB drops trailing dimensions of 1.
     optional = {key: _shape(variables, key, sizes[key], path) for key in _OPTIONAL if key in variables}
     optional["covariance_dof"] = float(np.asarray(variables.get("covariance_dof", math.inf)).item())
-    matrix, form = _shape(variables, "H", shape, path), text_of(variables["form"])
+    matrix = _shape(variables, "H", shape, path)
     return FrequencyResponse(frequency, matrix, outputs, inputs, form=form, **optional, name=name)
 
 
@@ -517,10 +484,7 @@ def _texts(cells: Any) -> list[str]:
 
 
 def write_recording_mat(path: Path, recording: Recording) -> None:
-    """Write one column vector per channel [SI], ``fs`` [Hz] and a structure ``units``.
-
-    Names become MATLAB's.
-    """
+    """Write a column vector per channel [SI], ``fs`` [Hz] and a structure ``units``, under MATLAB's names."""
     names = [re.sub(r"\W", "_", channel.name, flags=re.ASCII) for channel in recording.channels]
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:

@@ -48,10 +48,7 @@ def growing_rows(
     path: Path, columns: Sequence[str], first: int, most: int
 ) -> tuple[FloatArray, float | None]:
     """At most *most* rows (n, n_column) [unit of the file] from row *first* on of a file that is being
-    written; it states no rate.
-
-    Of a file that is not finished a copy is, by its flags: samples count as far as they are whole. DataError
-    for a column that is not there.
+    written, as far as they are whole; it states no rate. DataError for a column that is not there.
     """
     table: MdfTable | None = None
     rows: FloatArray = np.empty((0, len(columns)))
@@ -67,9 +64,7 @@ def growing_rows(
 
 class MdfTable:
     """The numeric channels of the longest group, or of *group*, and their times as the column "time [s]".
-    Satisfies Table.
-
-    `others` are the tables of the other groups.
+    Satisfies Table. `others` are the tables of the other groups.
     """
 
     def __init__(self, path: Path, group: int | None = None) -> None:
@@ -114,8 +109,8 @@ class MdfTable:
         return tuple(table for table in tables if len(table.columns) > 1)
 
     def _check_amount(self, group: Any) -> None:
-        """DataError where the file says more samples than its blocks can hold: the library would make room
-        for all of them.
+        """DataError where the file says more samples than its blocks hold: the library would make room for
+        all.
         """
         # Marks of invalid samples stand behind each sample, except in files that keep every column by itself.
         marks = int(getattr(group.channel_group, "invalidation_bytes_nr", 0))
@@ -134,11 +129,6 @@ class MdfTable:
 
     @contextmanager
     def _open(self) -> Iterator[Any]:
-        """The file.
-
-        DataError for a damaged one, for which the library has errors of many kinds, at opening and at
-        reading.
-        """
         # The library finishes a copy of a file that is being written, and forgets it where that fails.
         with TemporaryDirectory(prefix="labpipe-mdf-") as folder:
             file, reason = self._open_file(folder)
@@ -199,8 +189,8 @@ class MdfTable:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence of the library: it prints what it holds of a damaged file, and a half-made object of it fails
-    once more when it goes.
+    """Silence of the library, which prints what it holds of a damaged file and fails once more when that
+    goes.
     """
     hook = sys.unraisablehook
     sys.unraisablehook = lambda _: None
@@ -213,9 +203,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _kept_young() -> Iterator[None]:
-    """What is made within stays in the youngest generation: a search for garbage there finds it without a
-    look at all other objects.
-    """
+    """What is made within stays in the youngest generation, where a search for garbage finds it at once."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -19,7 +19,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, numpy_array, open_parquet
 from labpipe.errors import DataError
 from labpipe.raw_files.table import load_extra
-from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, not_readable
+from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, reading
 
 CHUNK_ROWS = 1 << 17
 # Integers of up to so many bits are exact as float64; of longer ones pyarrow refuses those that are not.
@@ -40,9 +40,8 @@ class ParquetTable:
             raise DataError("has no rows", path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
-
-        DataError for a column without numbers.
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other. DataError for a
+        column without numbers.
         """
         for parts in self.column_chunks(columns):
             rows = np.empty((len(columns), parts[0].size))
@@ -63,19 +62,9 @@ class ParquetTable:
 
 
 def _numbers(column: pa.Array) -> FloatArray:
-    """The numbers of a column (n,) [unit of the file].
-
-    Those of a kind that float64 does not hold exactly as float64, or refused.
-    """
     exact = pa.types.is_floating(column.type) or column.type.bit_width <= MOST_EXACT_BITS
     values: FloatArray = numpy_array(column if exact and not column.null_count else column.cast(pa.float64()))
     return values
-
-
-# WAV files: one column per track, 1 at full scale; the rig's sensitivity converts full scale.
-
-
-_BROKEN = ValueError, TypeError, OSError, EOFError, struct.error, UnboundLocalError, ZeroDivisionError
 
 
 class WavTable:
@@ -101,15 +90,12 @@ def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
     check_filled(path)
     _check_length(path)
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                rate, samples = wavfile.read(str(path), mmap=True)
-            except ValueError:
-                rate, samples = wavfile.read(str(path))
-    except _BROKEN as error:
-        raise not_readable(path, "WAV file", str(error) or "cut off") from None
+    with reading(path, "WAV file"), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            rate, samples = wavfile.read(str(path), mmap=True)
+        except ValueError:
+            rate, samples = wavfile.read(str(path))
     if any("EOF" in str(warning.message) for warning in caught):
         raise DataError("ends before its last sample", path, "the file is truncated")
     if rate <= 0:
@@ -132,7 +118,6 @@ def wav_chunks(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
 
 
 def _check_length(path: Path) -> None:
-    """DataError where the header claims more samples than the file holds, before memory is asked for them."""
     with path.open("rb") as stream:
         for name, place, length in wav_chunks(stream):
             if name == b"data" and place + length > path.stat().st_size:
@@ -140,9 +125,8 @@ def _check_length(path: Path) -> None:
 
 
 def _share(samples: NDArray[np.generic]) -> FloatArray:
-    """Samples by full scale: integers by 2^(bits - 1), bytes around 128.
-
-    Scipy gives 24 bit as the upper part of 32.
+    """Samples by full scale: integers by 2^(bits - 1), bytes around 128. Scipy gives 24 bit as the upper part
+    of 32.
     """
     if samples.dtype.kind == "f":
         return samples.astype(np.float64)
@@ -150,15 +134,12 @@ def _share(samples: NDArray[np.generic]) -> FloatArray:
     return (samples.astype(np.float64) - (half if samples.dtype.kind == "u" else 0.0)) / half
 
 
-# Excel workbooks (.xlsx): the sheet that holds a table of numbers.
-
 Row = tuple[Any, ...]
 
 
 class XlsxTable:
-    """The columns of the only sheet with numbers; formulas count with the values that Excel stored.
-
-    Satisfies Table.
+    """The columns of the only sheet with numbers; formulas count with the values that Excel stored. Satisfies
+    Table.
     """
 
     def __init__(self, path: Path) -> None:
@@ -176,16 +157,12 @@ class XlsxTable:
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
         openpyxl = load_extra("openpyxl", "excel", self.path)
         check_filled(self.path)
-        try:
-            with warnings.catch_warnings():
-                # Of styles and extensions that are no numbers.
-                warnings.simplefilter("ignore")
-                book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
-                sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
-                book.close()
-        # The library has errors of many kinds for a damaged file.
-        except Exception as error:
-            raise not_readable(self.path, "Excel workbook", error) from None
+        with reading(self.path, "Excel workbook"), warnings.catch_warnings():
+            # Of styles and extensions that are no numbers.
+            warnings.simplefilter("ignore")
+            book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
+            sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
+            book.close()
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
         if len(numeric) != 1:
             what = f"several sheets hold numbers: {', '.join(numeric)}"
@@ -218,7 +195,6 @@ class XlsxTable:
 
 
 def _is_numeric(row: Row) -> bool:
-    """True for a row of numbers and dates, some of which may be missing."""
     cells = [cell for cell in row if cell is not None]
     is_value = all(
         isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells

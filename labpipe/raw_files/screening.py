@@ -23,11 +23,8 @@ AT_LIMIT = 1e-9
 
 
 class EndValues:
-    """Samples at the extreme of a channel, over block borders: those in runs of at least CLIPPED_RUN, or all
-    where they crowd there.
-
-    *sign* +1 follows the maximum, -1 the minimum. Only runs at the extreme so far are kept: a higher value
-    starts afresh.
+    """Samples at the extreme of a channel, over block borders: in runs of at least CLIPPED_RUN, or all where
+    they crowd there. *sign* +1 follows the maximum, -1 the minimum; a higher value starts afresh.
     """
 
     def __init__(self, sign: float) -> None:
@@ -40,9 +37,8 @@ class EndValues:
         self._values, self._counts = np.empty(0), np.empty(0, np.int64)
 
     def reaches(self, extreme: float) -> bool:
-        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted.
-
-        A run ends where it has none.
+        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted. A run ends
+        where it has none.
         """
         if self._values.size <= NEXT_VALUES or extreme >= self._reached:
             return True
@@ -51,7 +47,6 @@ class EndValues:
 
     @property
     def _reached(self) -> float:
-        """From where on values, times the sign, are counted."""
         lowest = float(self._values[0])
         return lowest - AT_LIMIT * abs(lowest)
 
@@ -82,9 +77,6 @@ class EndValues:
         self._open = last if ends[-1] == column.size else 0
 
     def _outermost(self, column: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Where the column (n,) reaches the outermost values so far, and its values there times the sign:
-        few, after the first block.
-        """
         if self._values.size <= NEXT_VALUES:
             places = np.flatnonzero(np.isfinite(column))
             return places, self._sign * column[places]
@@ -123,9 +115,8 @@ class EndValues:
 
 
 class AtLimit:
-    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one.
-
-    A single one is clipped.
+    """Samples at or beyond a known end of the range: *sign* +1 the upper, -1 the lower one. A single one is
+    clipped.
     """
 
     def __init__(self, sign: float, limits: tuple[float, float]) -> None:
@@ -147,7 +138,6 @@ class AtLimit:
         self._count += int(beyond.sum())
 
     def clipped(self) -> tuple[int, int]:
-        """(clipped samples, first of them)."""
         return self._count, self._first
 
 
@@ -194,6 +184,11 @@ def check_amounts(names: Sequence[str], block: FloatArray, first: int) -> None:
     raise DataError(what, hint="check the unit, the sensitivity and the column")
 
 
+def _are_measured(low: FloatArray, high: FloatArray) -> bool:
+    is_finite = np.isfinite(low).all() and np.isfinite(high).all()
+    return bool(is_finite and max(-low.min(), high.max()) <= LARGEST)
+
+
 class ChannelScreen:
     """Running levels and faults of the channels of a recording, fed with blocks (n, n_channel) that may hold
     NaN.
@@ -222,7 +217,7 @@ class ChannelScreen:
         low, high = columns.min(axis=1), columns.max(axis=1)
         # A missing number makes both ends one, an infinity one of them: most blocks have neither, and are not
         # searched.
-        if np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST:
+        if _are_measured(low, high):
             self._add_levels(columns)
         else:
             low, high = self._add_with_gaps(block, columns)
@@ -232,14 +227,11 @@ class ChannelScreen:
         self, low: FloatArray, high: FloatArray, n_sample: int, column_of: Callable[[int], FloatArray]
     ) -> bool:
         """Add the next *n_sample* samples by the least and largest number of each channel (n_channel,) [unit
-        of the channel] alone.
-
-        *column_of* gives the samples (n_sample,) of a channel that must be looked at. No levels are known
-        then. False, and nothing added, for samples that are missing or beyond measure, which `add` takes.
+        of the channel] alone; *column_of* gives those (n_sample,) of a channel that must be looked at. No
+        levels are known then. False, and nothing added, for what `add` must take: missing samples, or beyond
+        measure.
         """
-        if not (
-            np.isfinite(low).all() and np.isfinite(high).all() and max(-low.min(), high.max()) <= LARGEST
-        ):
+        if not _are_measured(low, high):
             return False
         self._add_ends(low, high, n_sample, column_of)
         return True
@@ -250,19 +242,12 @@ class ChannelScreen:
         self.minimum, self.maximum = np.minimum(self.minimum, low), np.maximum(self.maximum, high)
         for number, (lower, upper) in enumerate(self._ends):
             # Most blocks of a long record stay within what was there before, and are not searched.
-            for end in [
-                end
-                for end, extreme in ((lower, -low[number]), (upper, high[number]))
-                if end.reaches(float(extreme))
-            ]:
-                end.add(column_of(number), self.n_sample)
+            for end, extreme in ((lower, -low[number]), (upper, high[number])):
+                if end.reaches(float(extreme)):
+                    end.add(column_of(number), self.n_sample)
         self.n_sample += n_sample
 
     def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add a block that may hold NaN, *columns* its transpose.
-
-        The least and the largest number of each channel (n_channel,).
-        """
         check_amounts(self._names, block, self.n_sample)
         missing = ~np.isfinite(columns)
         self._add_levels(columns, missing)
@@ -317,29 +302,21 @@ class ChannelScreen:
         faults: list[Finding] = []
         for number, name in enumerate(self._names):
             if self._n_missing[number]:
-                count, first = self._n_missing[number], self._first_missing[number]
-                faults.append(
-                    Finding(
-                        "gap",
-                        f"channel {name}: {count} of {self.n_sample} samples are no numbers, the "
-                        f"first is sample {first}",
-                    )
-                )
+                what = f"{self._n_missing[number]} of {self.n_sample} samples are no numbers"
+                first = self._first_missing[number]
+                faults.append(Finding("gap", f"channel {name}: {what}, the first is sample {first}"))
             if self._n_missing[number] == self.n_sample:
                 continue
             if not self.maximum[number] > self.minimum[number]:
                 faults.append(Finding("constant", f"channel {name} does not vary at all"))
                 continue
-            self._check_size(number, name)
+            largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
+            # Their squares vanish.
+            if largest < SMALLEST:
+                what = f"channel {name}: no number above {largest:g}, which nothing measures"
+                raise DataError(what, hint="check the unit, the sensitivity and the column")
             faults.extend(self._clipping(number, name))
         return tuple(faults)
-
-    def _check_size(self, number: int, name: str) -> None:
-        """DataError for a channel whose numbers are so small that their squares vanish."""
-        largest = max(abs(self.minimum[number]), abs(self.maximum[number]))
-        if largest < SMALLEST:
-            what = f"channel {name}: no number above {largest:g}, which nothing measures"
-            raise DataError(what, hint="check the unit, the sensitivity and the column")
 
     def _clipping(self, number: int, name: str) -> list[Finding]:
         runs = [end.clipped() for end in self._ends[number]]
@@ -377,15 +354,13 @@ class TimeAxisScreen:
             sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
             raise DataError(f"the time column '{self._column}' has no number at sample {sample}")
         joined = times if self._n_sample == 0 else np.concatenate([[self._last], times])
-        offset = self._n_sample if self._n_sample == 0 else self._n_sample - 1
+        offset = max(self._n_sample - 1, 0)
         steps = np.diff(joined)
         if steps.size:
             if np.any(steps < 0):
                 sample = offset + 1 + int(np.argmax(steps < 0))
-                raise DataError(
-                    f"the time column '{self._column}' does not rise at sample {sample} "
-                    f"({joined[sample - offset]:g} s)"
-                )
+                at = f"sample {sample} ({joined[sample - offset]:g} s)"
+                raise DataError(f"the time column '{self._column}' does not rise at {at}")
             if np.isnan(self._typical):
                 self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
@@ -399,9 +374,8 @@ class TimeAxisScreen:
         self._n_sample += times.size
 
     def sample_rate(self) -> float:
-        """(n - 1) / (t_last - t_first) [Hz].
-
-        DataError when the steps are not equal within jitter and the rounding of the times.
+        """(n - 1) / (t_last - t_first) [Hz]. DataError when the steps are not equal within jitter and the
+        rounding of the times.
         """
         if self._n_sample < 2:
             raise DataError(f"the time column '{self._column}' has fewer than two samples")
@@ -424,17 +398,16 @@ class TimeAxisScreen:
         stored = float(np.spacing(max(abs(self._first), abs(self._last))))
         allowed = JITTER * step + stored + (resolution if coarse else 0.0)
         if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
-            raise DataError(
-                f"the time column '{self._column}' does not rise at sample {self._smallest[1]}",
-                hint="times of too few digits? give sample_rate in the rig file instead of time",
-            )
+            what = f"the time column '{self._column}' does not rise at sample {self._smallest[1]}"
+            hint = "times of too few digits? give sample_rate in the rig file instead of time"
+            raise DataError(what, hint=hint)
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
+                what = f"the time steps of column '{self._column}' are not equal"
+                hint = "a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
                 raise DataError(
-                    f"the time steps of column '{self._column}' are not equal: {extreme:g} s at sample "
-                    f"{sample}, {step:g} s on average",
-                    hint="a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
-                    "rig file instead of time",
+                    f"{what}: {extreme:g} s at sample {sample}, {step:g} s on average",
+                    hint=f"{hint}rig file instead of time",
                 )
         if not 1 / FASTEST <= step <= FASTEST:
             what = f"the time steps of column '{self._column}' are {step:g} s"
@@ -454,9 +427,8 @@ def plain_rate(step: float, uncertainty: float) -> float:
 
 
 def _printed_digits(times: FloatArray) -> int:
-    """Significant digits with which all times are printed, up to MOST_DIGITS.
-
-    More for numbers of full precision.
+    """Significant digits with which all times are printed, up to MOST_DIGITS. More for numbers of full
+    precision.
     """
     sizes = np.abs(times[times != 0])
     if not sizes.size:
@@ -479,7 +451,6 @@ def _last_digit(largest: float, digits: int) -> float:
 
 def _printed_resolution(times: FloatArray) -> float:
     """The last printed digit of the times: the largest power of ten, 1 at most, of which all are multiples.
-
     Never finer than the floating-point numbers: a date in seconds is accurate to 2e-7 s only.
     """
     spacing = float(np.spacing(np.max(np.abs(times))))

@@ -28,8 +28,7 @@ _UNITS = (
 @dataclass(frozen=True)
 class Signals:
     """What one structure *place* of a file holds: *step* of its axis and the axis's unit (s, Hz), labels of
-    the responding channels and, of FRFs, of the references, as many as columns; *unit* of the numbers, '' for
-    one that has no name.
+    responding channels and, of FRFs, of references, one for each column; *unit* of the numbers, '' for none.
     """
 
     place: str
@@ -92,7 +91,6 @@ def _unit(fields: Mapping[str, Any], place: str) -> str:
 
 
 def _number(fields: Mapping[str, Any], key: str) -> float:
-    """The one number of a field, not finite where it holds none."""
     array = np.asarray(fields.get(key, ()))
     return float(array.item()) if array.size == 1 and array.dtype.kind in "iuf" else np.nan
 

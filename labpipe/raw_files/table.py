@@ -43,9 +43,8 @@ Read = TypeVar("Read")
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """DataError for every exception of a library inside the block.
-
-    Faults of the machine keep their own words.
+    """DataError for every exception of a library inside the block. Faults of the machine keep their own
+    words.
     """
     try:
         # Numbers out of range are refused by the screening, with channel and sample.
@@ -72,7 +71,6 @@ DAMAGED = "the file is damaged, or not what its ending says"
 
 
 def guard(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
-    """What *read* makes of a file."""
     with readable(path):
         return read(path, *arguments)
 
@@ -128,25 +126,15 @@ def check_in_child(path: Path, kind: str, touch: Touch) -> None:
         _looked_at[key] = _look(path, touch, math.ceil(SECONDS + SECONDS_PER_MB * status.st_size / 1e6))
     code = _looked_at[key]
     if code not in (GOOD, UNREADABLE):
-        how = (
-            "takes too long"
-            if code in (-signal.SIGXCPU, -signal.SIGKILL)
-            else (f"fails inside the {kind} library")
-        )
+        too_long = code in (-signal.SIGXCPU, -signal.SIGKILL)
+        how = "takes too long" if too_long else f"fails inside the {kind} library"
         raise DataError(f"is not a readable {kind} file (reading it {how})", path, "the file is damaged")
 
 
 def _look(path: Path, touch: Touch, seconds: int) -> int:
-    """The exit code of a child process that reads the file, negative for the signal that ended it."""
     if not hasattr(os, "fork"):
-        command = [
-            sys.executable,
-            "-m",
-            "labpipe.raw_files.table",
-            touch.__module__,
-            touch.__name__,
-            str(path),
-        ]
+        module = [sys.executable, "-m", "labpipe.raw_files.table"]
+        command = [*module, touch.__module__, touch.__name__, str(path)]
         try:
             return subprocess.run(command, timeout=seconds * PATIENCE, check=False).returncode
         except subprocess.TimeoutExpired:
@@ -247,7 +235,6 @@ class QuickTable(Table, Protocol):
 
 
 def as_quick(table: Table) -> QuickTable | None:
-    """The table where it is a quick one; None for any other."""
     return cast(QuickTable, table) if getattr(table, "n_row", None) is not None else None
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import check_names, unique
-from labpipe.raw_files.text_table import check_filled, not_readable
+from labpipe.raw_files.text_table import check_filled, reading
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -28,24 +27,11 @@ _SENSITIVITY_UNITS = (
 )
 # Relative difference of rates that are one, and of a rate from a whole number of hertz.
 _SAME = 1e-6
-_BROKEN = (
-    ValueError,
-    TypeError,
-    OSError,
-    KeyError,
-    IndexError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-    NotImplementedError,
-    struct.error,
-)
 
 
 class TdmsTable:
-    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table.
-
-    *sensitivities* where properties state them.
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table. *sensitivities*
+    where properties state them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -53,15 +39,11 @@ class TdmsTable:
         # Suppresses npTDMS's log of a damaged file: there is one error message.
         log_manager.set_level(logging.ERROR)
         check_filled(path)
-        try:
-            with path.open("rb") as stream, TdmsFile.open(stream) as file:
-                _check_whole(file, path)
-                channels = [
-                    channel for group in file.groups() for channel in group.channels() if _is_numeric(channel)
-                ]
-                self._keep(channels)
-        except _BROKEN as error:
-            raise not_readable(path, "TDMS file", str(error) or "cut off") from None
+        with reading(path, "TDMS file"), path.open("rb") as stream, TdmsFile.open(stream) as file:
+            if file.file_status.incomplete_final_segment:
+                hint = "the logger was interrupted, or the copy is incomplete"
+                raise DataError("its last segment is truncated", path, hint)
+            self._keep([c for group in file.groups() for c in group.channels() if _is_numeric(c)])
 
     def _keep(self, candidates: list[Any]) -> None:
         length = max((len(channel) for channel in candidates), default=0)
@@ -80,9 +62,8 @@ class TdmsTable:
         self.sample_rate = _rate(channels, self.path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other.
-
-        DataError when the file is damaged.
+        """Consecutive chunks (n, n_column) [unit of the file], scaled, a column beside the other. DataError
+        when the file is damaged.
         """
         for rows in self._rows(columns):
             yield rows.T
@@ -92,39 +73,33 @@ class TdmsTable:
         return map(list, self._rows(columns))
 
     def _rows(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """The same, columns as rows (n_column, n).
-
-        Every chunk of the file is read once, with all channels in it.
+        """The same, columns as rows (n_column, n). Every chunk of the file is read once, with all channels in
+        it.
         """
         places = [self._places[column] for column in columns]
         parts: list[list[FloatArray]] = [[] for _ in places]
         waiting, done = np.zeros(len(places), int), 0
-        try:
-            with self.path.open("rb") as stream, TdmsFile.open(stream) as file:
-                for chunk in file.data_chunks():
-                    for n, (group, name) in enumerate(places):
-                        parts[n].append(chunk[group][name][:])
-                        waiting[n] += parts[n][-1].size
-                    whole = int(waiting.min()) // CHUNK_ROWS * CHUNK_ROWS
-                    if whole:
-                        values = [np.concatenate(pieces) for pieces in parts]
-                        yield from _blocks(values, whole)
-                        parts = [[column[whole:]] for column in values]
-                        waiting, done = waiting - whole, done + whole
+        with reading(self.path, "TDMS file"), self.path.open("rb") as stream, TdmsFile.open(stream) as file:
+            for chunk in file.data_chunks():
+                for n, (group, name) in enumerate(places):
+                    parts[n].append(chunk[group][name][:])
+                    waiting[n] += parts[n][-1].size
+                whole = int(waiting.min()) // CHUNK_ROWS * CHUNK_ROWS
+                if whole:
+                    values = [np.concatenate(pieces) for pieces in parts]
+                    yield from _blocks(values, whole)
+                    parts = [[column[whole:]] for column in values]
+                    waiting, done = waiting - whole, done + whole
             if np.any(done + waiting != self.n_row):
                 raise EOFError("cut off")
             yield from _blocks([np.concatenate(pieces) for pieces in parts], self.n_row - done)
-        except _BROKEN as error:
-            raise not_readable(self.path, "TDMS file", str(error) or "cut off") from None
 
 
 def growing_rows(
     path: Path, columns: Sequence[str], first: int, most: int
 ) -> tuple[FloatArray, float | None]:
     """At most *most* rows (n, n_column) [unit of the file] from row *first* on of a file that is being
-    written, and its rate [Hz].
-
-    A last segment that is not whole yet counts as far as it goes. DataError for a column that is not there.
+    written, as far as they are whole, and its rate [Hz]. DataError for a column that is not there.
     """
     log_manager.set_level(logging.ERROR)
     try:
@@ -138,21 +113,16 @@ def growing_rows(
             last = min(first + most, *(len(channel) for channel in chosen))
             rows = [np.asarray(channel[first:last], float) for channel in chosen]
             return np.array(rows).reshape(len(columns), -1).T, _rate(chosen, path)
-    except _BROKEN:
+    except DataError:
+        raise
+    except Exception:
         # Between two writes.
         return np.empty((0, len(columns))), None
 
 
 def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
-    """The first *n_row* values of columns (n,) as blocks (n_column, n)."""
     for start in range(0, n_row, CHUNK_ROWS):
         yield np.array([column[start : min(start + CHUNK_ROWS, n_row)] for column in columns], float)
-
-
-def _check_whole(file: TdmsFile, path: Path) -> None:
-    if file.file_status.incomplete_final_segment:
-        hint = "the logger was interrupted, or the copy is incomplete"
-        raise DataError("its last segment is truncated", path, hint)
 
 
 def _is_numeric(channel: Any) -> bool:

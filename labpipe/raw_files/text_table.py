@@ -22,7 +22,7 @@ import pyarrow.csv as pc
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import numpy_array
 from labpipe.artefacts.writing import text_of
-from labpipe.errors import DataError, cut
+from labpipe.errors import DataError, LabpipeError, cut
 from labpipe.quantities import UnitError, parse_unit
 
 PACKED = (".gz", ".zst")
@@ -35,7 +35,6 @@ def plain_suffix(path: Path) -> str:
 
 
 def open_unpacked(path: Path) -> BinaryIO:
-    """The bytes of a file, decompressed according to its suffix."""
     if path.suffix.lower() in PACKED:
         compression = "gzip" if path.suffix.lower() == ".gz" else "zstd"
         stream: BinaryIO = pa.input_stream(str(path), compression=compression)
@@ -56,6 +55,17 @@ def not_readable(path: Path, kind: str, error: object) -> DataError:
     return DataError(f"is not a readable {kind} ({reason[:80]})", path)
 
 
+@contextmanager
+def reading(path: Path, kind: str) -> Iterator[None]:
+    """DataError for whatever a library raises inside the block for a damaged file of a *kind*."""
+    try:
+        yield
+    except LabpipeError:
+        raise
+    except Exception as error:
+        raise not_readable(path, kind, error) from None
+
+
 def check_filled(path: Path) -> None:
     """DataError for a file without a byte."""
     if path.stat().st_size == 0:
@@ -63,12 +73,9 @@ def check_filled(path: Path) -> None:
 
 
 def damaged(path: Path, error: Exception) -> DataError:
-    """The error of a compressed file that cannot be decompressed."""
     what = f"cannot be unpacked ({str(error).splitlines()[0][:80]})"
     return DataError(what, path, "the file is damaged or cut off")
 
-
-# A text table whose fields any number of blanks keeps apart, as a stream with one blank between two fields.
 
 LINES = 1 << 14
 
@@ -84,7 +91,6 @@ class SqueezedBlanks(io.RawIOBase):
         self._rest = b""
 
     def readable(self) -> bool:
-        """Always."""
         return True
 
     def read(self, size: int = -1) -> bytes:
@@ -99,12 +105,9 @@ class SqueezedBlanks(io.RawIOBase):
         return wanted
 
     def close(self) -> None:
-        """Close the file, too."""
         self._lines.close()
         super().close()
 
-
-# Times of day, with or without a date, as seconds.
 
 DAY = 86400.0
 _STAMP = re.compile(
@@ -121,9 +124,8 @@ def is_stamp(field: str) -> bool:
 
 
 class StampClock:
-    """Seconds since the midnight before the first stamp.
-
-    Days follow one another, so that no order of day and month is guessed.
+    """Seconds since the midnight before the first stamp. Days follow one another, so that no order of day and
+    month is guessed.
     """
 
     def __init__(self, column: str) -> None:
@@ -133,9 +135,8 @@ class StampClock:
         self._midnight = 0.0
 
     def seconds(self, stamps: Iterable[str | None]) -> FloatArray:
-        """The next stamps in seconds (n,) [s], NaN for a missing one.
-
-        DataError for a date that is not the next day.
+        """The next stamps in seconds (n,) [s], NaN for a missing one. DataError for a date that is not the
+        next day.
         """
         return np.array([self._second(stamp) for stamp in stamps], np.float64)
 
@@ -157,9 +158,6 @@ class StampClock:
         return self._midnight + second
 
 
-# Detection of a text table's layout: encoding, delimiter, decimal sign, header, unit row, first row of
-# numbers.
-
 HEAD_BYTES = 1 << 18
 # Lines analysed from either end of the head; no header is longer.
 SAMPLE_LINES = 200
@@ -178,9 +176,7 @@ IsNumber = Callable[[str, str], bool]
 @dataclass(frozen=True)
 class Layout:
     """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is
-    0-based.
-
-    *stamps*: the fields that hold times of day or dates.
+    0-based. *stamps*: the fields that hold times of day or dates.
     """
 
     encoding: str
@@ -198,7 +194,6 @@ def is_cell(field: str, decimal: str) -> bool:
 
 
 def is_number(field: str, decimal: str) -> bool:
-    """True if a field is one number with this decimal sign."""
     if "_" in field or (decimal == "," and "." in field):
         return False
     text = field.strip().strip('"')
@@ -210,19 +205,16 @@ def is_number(field: str, decimal: str) -> bool:
 
 
 def is_missing(field: str) -> bool:
-    """True if a field is a known mark for a missing number."""
     return field.strip().strip('"') in MISSING
 
 
 def fields_of(line: str, delimiter: str) -> list[str]:
-    """The fields of a line."""
     return line.split() if delimiter == BLANKS else line.split(delimiter)
 
 
 def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
-    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers.
-
-    *number* knows what a number is.
+    """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers. *number*
+    knows what a number is.
     """
     encoding, lines = _head(path)
     sample = _sample(len(lines))
@@ -305,9 +297,6 @@ def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bo
 def _numeric_rows(
     lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber
 ) -> tuple[list[int], int]:
-    """The lines of the sample that are rows of numbers, and their number of fields (the most frequent
-    one).
-    """
     counts: dict[int, list[int]] = {}
     for number in sample:
         if _is_numeric(lines[number], delimiter, decimal, is_cell):
@@ -371,6 +360,11 @@ def bracketed_unit(name: str) -> str:
     return _unit_of(match[1]) if match else ""
 
 
+def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
+    values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
+    return values
+
+
 # Read ahead, a few times over: larger blocks are no faster and cost memory.
 BLOCK_BYTES = 1 << 21
 
@@ -388,19 +382,12 @@ class CsvTable:
         self._clocks: dict[str, StampClock] | None = None
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other.
-
-        DataError names line and column of the first row that is not numbers.
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other. DataError names
+        line and column of the first row that is not numbers.
         """
-        fields = [str(self.layout.names.index(name)) for name in columns]
-        clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
         try:
             with self._bytes() as source:
-                for batch in self._open(source, fields, self.layout.first_line):
-                    if batch.num_rows:
-                        yield np.array(
-                            [self._numbers(batch.column(field), clocks.get(field)) for field in fields]
-                        ).T
+                yield from self._rows(source, columns, self.layout.first_line, self._new_clocks())
         except pa.ArrowInvalid as error:
             raise self._locate(columns, str(error)) from None
         except UnicodeError as error:
@@ -411,23 +398,27 @@ class CsvTable:
 
     def rows_of(self, text: bytes, columns: Sequence[str]) -> FloatArray:
         """The numbers (n, n_column) [unit of the file] of whole lines that follow in a file that grows."""
-        fields = [str(self.layout.names.index(name)) for name in columns]
-        if self._clocks is None:
-            self._clocks = {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
+        self._clocks = self._clocks or self._new_clocks()
         source: Any = io.BytesIO(text)
         if self.layout.delimiter == BLANKS:
             source = SqueezedBlanks(source, self.layout.encoding)
         try:
-            batches = list(self._open(source, fields, 0))
+            rows = list(self._rows(source, columns, 0, self._clocks))
         except pa.ArrowInvalid as error:
             reason = cut(str(error).splitlines()[0])
             raise DataError(f"a line that was appended cannot be read: {reason}", self.path) from None
-        rows = [
-            np.array([self._numbers(batch.column(field), self._clocks.get(field)) for field in fields]).T
-            for batch in batches
-            if batch.num_rows
-        ]
-        return np.concatenate([np.empty((0, len(fields))), *rows])
+        return np.concatenate([np.empty((0, len(columns))), *rows])
+
+    def _new_clocks(self) -> dict[str, StampClock]:
+        return {str(n): StampClock(self.layout.names[n]) for n in self.layout.stamps}
+
+    def _rows(
+        self, source: Any, columns: Sequence[str], skipped: int, clocks: dict[str, StampClock]
+    ) -> Iterator[FloatArray]:
+        fields = [str(self.layout.names.index(name)) for name in columns]
+        for batch in self._open(source, fields, skipped):
+            if batch.num_rows:
+                yield np.array([_numbers(batch.column(field), clocks.get(field)) for field in fields]).T
 
     def _open(self, source: Any, fields: list[str], skipped: int) -> pc.CSVStreamingReader:
         layout = self.layout
@@ -450,14 +441,8 @@ class CsvTable:
             ),
         )
 
-    @staticmethod
-    def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
-        values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
-        return values
-
     @contextmanager
     def _bytes(self) -> Iterator[Any]:
-        """The file, or its unpacked bytes, in which one blank stands between two fields."""
         if self.layout.delimiter == BLANKS:
             with SqueezedBlanks(open_unpacked(self.path), self.layout.encoding) as stream:
                 yield stream

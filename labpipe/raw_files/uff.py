@@ -81,9 +81,8 @@ class UffScale:
 
 @dataclass(frozen=True)
 class UffRecord:
-    """One record 58 or 58b.
-
-    *start* and *step* of its abscissa, or an abscissa beside the numbers where *even* is false.
+    """One record 58 or 58b. *start* and *step* of its abscissa, or an abscissa beside the numbers where
+    *even* is false.
     """
 
     number: int
@@ -103,7 +102,6 @@ class UffRecord:
 
     @property
     def where(self) -> str:
-        """Name of the record in messages."""
         return f"record {self.number} ({self.title or 'without a title'})"
 
 
@@ -112,7 +110,6 @@ class _Lines:
         self.path, self.buffer, self.position = path, buffer, 0
 
     def next(self) -> str | None:
-        """The next line, or None at the end of the file."""
         if self.position >= len(self.buffer):
             return None
         end = self.buffer.find(b"\n", self.position)
@@ -151,9 +148,8 @@ def open_uff(path: Path) -> mmap.mmap:
 
 
 def read_uff(path: Path) -> tuple[UffRecord, ...]:
-    """All records 58 and 58b of a universal file.
-
-    DataError for another or truncated file, or without such a record.
+    """All records 58 and 58b of a universal file. DataError for another or truncated file, or without such a
+    record.
     """
     with open_uff(path) as buffer:
         records = tuple(_records(_Lines(path, buffer)))
@@ -227,28 +223,15 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
     try:
         point, form = _columns(header[5], _POINT), _columns(header[6], _FORM)
         function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
-        even, start, step = _integer(form[2]) == 1, _real(form[3]), _real(form[4])
-        response, reference = _point(point[4:7]), _point(point[7:10])
-        abscissa, ordinate, denominator = (_axis(_columns(line, _AXIS)) for line in header[7:10])
+        even, start, step = _integer(form[2]) == 1, real(form[3]), real(form[4])
+        ends = _point(point[4:7]), _point(point[7:10])
+        abscissa, ordinate, per = (_axis(_columns(line, _AXIS)) for line in header[7:10])
         layout = _layout(lines, kind, ordinate_type, n_value, even)
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
     lines.position = layout.end
     return UffRecord(
-        number,
-        title,
-        function,
-        response,
-        reference,
-        n_value,
-        even,
-        start,
-        step,
-        abscissa,
-        ordinate,
-        denominator,
-        scale,
-        layout,
+        number, title, function, *ends, n_value, even, start, step, abscissa, ordinate, per, scale, layout
     )
 
 
@@ -277,7 +260,8 @@ def _integer(field: str) -> int:
     return int(field or 0)
 
 
-def _real(field: str) -> float:
+def real(field: str) -> float:
+    """A number as Fortran writes it, with D as its exponent; 0 for none."""
     return float(field.upper().replace("D", "E") or 0)
 
 
@@ -300,10 +284,9 @@ def _axis(fields: list[str]) -> UffAxis:
 def _binary_layout(
     buffer: mmap.mmap, begin: int, codes: list[str], ordinate_type: int, n_value: int, even: bool
 ) -> NumberLayout:
-    """The layout of binary numbers, up to the closing -1; ValueError when it is missing.
-
-    The byte count of the 58b header is not used: some programs count complex values once. Some programs write
-    the abscissa or single precision data as doubles, contrary to the format; the position of the -1 shows it.
+    """The layout of binary numbers, up to the closing -1; ValueError when it is missing. Not by the byte
+    count of the header, in which some programs count complex values once; some write doubles contrary to the
+    format, which the -1 shows.
     """
     _check_type(ordinate_type)
     if len(codes) < 2 or codes[0] not in _BYTE_ORDER or codes[1] != _IEEE:
@@ -326,9 +309,8 @@ def _check_type(ordinate_type: int) -> None:
 def read_numbers(
     buffer: mmap.mmap, layout: NumberLayout
 ) -> tuple[FloatArray | None, FloatArray | ComplexArray]:
-    """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file].
-
-    ValueError when their number differs from that of the header.
+    """Abscissa (n_value,) or None, and ordinates (n_value,), real or complex [unit of the file]. ValueError
+    when their number differs from that of the header.
     """
     if layout.dtype is None:
         abscissa, ordinate = _text_numbers(buffer[layout.begin : layout.end], layout)
@@ -368,9 +350,6 @@ def _fields(line: bytes, widths: list[int]) -> list[bytes]:
     return fields
 
 
-# The mode shapes of a universal file: its records 55, data at nodes, of normal and complex modes.
-
-# Analysis types of record 6: a normal mode, complex eigenvalues of first and of second order.
 NORMAL, COMPLEX = 2, (3, 7)
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -378,9 +357,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 @dataclass(frozen=True)
 class FileShapes:
     """Mode shapes (n_point, n_mode) [1] of a file at its *points* ('12.z'), with frequency (n_mode,) [Hz] and
-    damping_ratio (n_mode,) [1].
-
-    others: records that are no modes, or of other nodes than the first one.
+    damping_ratio (n_mode,) [1]. others: records that are no modes, or of other nodes.
     """
 
     points: tuple[str, ...]
@@ -429,7 +406,7 @@ class _Mode:
     def of_lines(cls, lines: Sequence[str]) -> _Mode:
         """The record of its lines; ValueError or IndexError where they are not as it says."""
         kind = [int(field) for field in lines[5].split()]
-        parts = {2: 1, 4: 1, 5: 2, 6: 2}.get(kind[4], 0)
+        parts = _PARTS.get(kind[4], 0)
         count = [int(field) for field in lines[6].split()]
         at = 6 + -(-(2 + count[0]) // 8)
         numbers, at = _next_fields(lines, at, count[1])
@@ -461,4 +438,4 @@ def _next_fields(lines: Sequence[str], at: int, count: int) -> tuple[list[float]
     row = [line[n : n + 13] for line in lines[at:stop] for n in range(0, len(line.rstrip()), 13)]
     if len(row) != count:
         raise ValueError
-    return [float(field.upper().replace("D", "E")) for field in row], stop
+    return list(map(real, row)), stop

@@ -46,12 +46,10 @@ Stated = tuple[str, float | None]
 
 
 def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> FrequencyResponse:
-    """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6).
-
-    Rows and columns are the responses and references in order of appearance; a function in -X is converted to
-    +X. *stated*: form and SI value per value of the file, for records that leave their axes open (type 0);
-    without a factor their labels count, else SI. DataError for a missing or repeated element, for different
-    forms or frequencies, and for missing numbers.
+    """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6), rows and columns in
+    order of appearance; -X is converted to +X. *stated*: form and SI value per value of the file, for records
+    that leave their axes open (type 0); without a factor their labels count, else SI. DataError for a missing
+    or repeated element, different forms or frequencies, and missing numbers.
     """
     records = uff.read_uff(path)
     frfs = [record for record in records if record.function == uff.FRF]
@@ -70,12 +68,12 @@ def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> Fr
 
 
 def _one_form(frfs: Sequence[uff.UffRecord]) -> str:
-    forms = [form_of(record) for record in frfs]
-    for record, form in zip(frfs, forms, strict=True):
-        if form != forms[0]:
-            what = f"{record.where} is a {form}, {frfs[0].where} a {forms[0]}"
+    first = form_of(frfs[0])
+    for record in frfs:
+        if (form := form_of(record)) != first:
+            what = f"{record.where} is a {form}, {frfs[0].where} a {first}"
             raise DataError(what, hint="one file holds one form")
-    return forms[0]
+    return first
 
 
 def _response(
@@ -114,7 +112,6 @@ def _response(
 
 
 def _key(point: uff.UffPoint) -> Key:
-    """Point and direction, without the sign."""
     return point.name, point.node, abs(point.direction)
 
 
@@ -215,7 +212,12 @@ class UffTable:
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
-        self.units = {name: unit for name, record in self._records.items() if (unit := time_unit(record)[0])}
+        try:
+            units = {name: time_unit(record)[0] for name, record in self._records.items()}
+        except DataError as error:
+            error.where = str(path)
+            raise
+        self.units = {name: unit for name, unit in units.items() if unit}
         rate = 1 / records[0].step
         self.sample_rate: float | None = rate
         if abs(round(rate) / rate - 1) < _STEP_DIGITS:
@@ -280,14 +282,12 @@ def readable_unit(label: str, kind: int) -> str:
 
 
 def axis_unit(axis: uff.UffAxis) -> str:
-    """The unit of an axis by its label, '' for none or an unknown one."""
     return readable_unit(axis.unit, axis.kind) if axis.unit else ""
 
 
 def form_of(record: uff.UffRecord) -> str:
-    """receptance, mobility or accelerance by the data types of the two axes.
-
-    DataError for any other function.
+    """receptance, mobility or accelerance by the data types of the two axes. DataError for any other
+    function.
     """
     of_force = record.denominator.kind in _FORCES
     if record.ordinate.kind in _OPEN and not of_force and (form := _labelled_form(record)):
@@ -312,9 +312,8 @@ def _check_directions(record: uff.UffRecord) -> None:
 
 
 def frf_factor(record: uff.UffRecord) -> float:
-    """SI value per value of an FRF record.
-
-    DataError for an unknown label, or one that contradicts the 164 record.
+    """SI value per value of an FRF record. DataError for an unknown label, or one that contradicts the 164
+    record.
     """
     labelled = _labelled_factor(record)
     if record.scale is None:
@@ -324,11 +323,15 @@ def frf_factor(record: uff.UffRecord) -> float:
             raise DataError(what, hint="there is no record 164 with the units")
         return labelled
     factor = record.scale.force / record.scale.length
-    stated = bool(record.ordinate.unit) and labelled is not None
-    if stated and labelled is not None and abs(labelled / factor - 1) > _SAME:
-        what = f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
-        raise DataError(what)
+    if record.ordinate.unit and labelled is not None:
+        _check_label(record, labelled, factor)
     return factor
+
+
+def _check_label(record: uff.UffRecord, labelled: float, factor: float) -> None:
+    if abs(labelled / factor - 1) > _SAME:
+        what = f"{record.where}: the label '{record.ordinate.unit}' contradicts the units of record 164"
+        raise DataError(what, hint="correct the record that is wrong")
 
 
 # What titles call the response, as in "Frequency Response H1(Acc,Force)", by the form that it makes.
@@ -360,16 +363,13 @@ def frf_values(path: Path, records: Sequence[uff.UffRecord]) -> tuple[FloatArray
 
 
 def _labelled_form(record: uff.UffRecord) -> str:
-    """The form of which the label of a record with open data types is a unit; '' for none."""
     unit = readable_unit(record.ordinate.unit, 12) if record.ordinate.unit else ""
     dimension = parse_unit(unit).dimension if unit else None
     return next((f for f in FORMS.values() if parse_unit(RESPONSE_FORMS[f]).dimension == dimension), "")
 
 
 def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> float:
-    """SI value per value of a record whose *form* somebody states: their *factor*, else by its label where
-    that is a unit of this form, else 1.
-
+    """SI value per value of a record whose *form* somebody states: their *factor*, else by its label, else 1.
     DataError where the record itself says another form.
     """
     _check_directions(record)
@@ -388,9 +388,8 @@ def _stated_factor(record: uff.UffRecord, form: str, factor: float | None) -> fl
 
 
 def _labelled_factor(record: uff.UffRecord) -> float | None:
-    """The factor of the labels: one for the whole quotient, or one for each part.
-
-    1 without labels, None for unknown ones.
+    """The factor of the labels: one for the whole quotient, or one for each part. 1 without labels, None for
+    unknown ones.
     """
     kind, label, per = record.ordinate.kind, record.ordinate.unit, record.denominator
     if kind in _OPEN and not label:
@@ -413,11 +412,14 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
 
 
 def time_unit(record: uff.UffRecord) -> tuple[str, float]:
-    """(unit, factor) of a time record: the numbers times the factor are in the unit; ('', 1) without a unit.
-
-    With a record 164 the SI unit by data type; else the unit of the label, and factor 1.
+    """(unit, factor) of a time record: the numbers times the factor are in the unit, that of SI with a record
+    164, else of the label; ('', 1) without one. DataError for a label that contradicts record 164.
     """
-    kind = record.ordinate.kind
-    if record.scale is not None and kind in SI_UNITS:
-        return SI_UNITS[kind], 1 / (record.scale.force if kind in _FORCES else record.scale.length)
-    return axis_unit(record.ordinate), 1.0
+    kind, label = record.ordinate.kind, axis_unit(record.ordinate)
+    if record.scale is None or kind not in SI_UNITS:
+        return label, 1.0
+    factor = 1 / (record.scale.force if kind in _FORCES else record.scale.length)
+    unit = parse_unit(label or "1")
+    if unit.dimension == parse_unit(SI_UNITS[kind]).dimension:
+        _check_label(record, unit.factor, factor)
+    return SI_UNITS[kind], factor

@@ -36,10 +36,8 @@ _STRUCTURAL, _COMPLEX_EIGENVALUE, _TRANSLATIONS, _DISPLACEMENT = 1, 3, 2, 8
 
 def write_frf_uff(path: Path, response: FrequencyResponse, binary: bool = False) -> None:
     """Write the FRFs, and coherences if available, as `read_frf_uff` reads them; the format has no
-    covariances.
-
-    Frequencies that do not follow from a first one and a step have six digits as text, all of them as binary
-    numbers.
+    covariances. Frequencies that do not follow from a first one and a step have six digits as text, all of
+    them as binary numbers.
     """
     kind = next((number for number, form in FORMS.items() if form == response.form), None)
     if kind is None:
@@ -77,10 +75,8 @@ def write_recording_uff(path: Path, recording: Recording, binary: bool = False) 
 
 def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
     """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are
-    no numbers.
-
-    Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out. DataError
-    where nothing else moves.
+    no numbers. Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out.
+    DataError where nothing else moves.
     """
     sets: list[dict[str, Any]] = []
     for fit in fits:
@@ -126,7 +122,6 @@ def _labels(geometry: Geometry) -> list[int]:
 
 
 def _structure(geometry: Geometry, labels: Sequence[int]) -> list[dict[str, Any]]:
-    """Nodes, and one trace line that lifts the pen (0) ahead of every pair."""
     places = dict(zip("xyz", geometry.positions.T, strict=True))
     trace = [label for a, b in geometry.lines.tolist() for label in (0, labels[a], labels[b])]
     line = {"type": 82, "trace_num": 1, "id": "lines of the structure", "nodes": np.array(trace)}
@@ -175,7 +170,6 @@ def _function(
     values: NDArray[Any],
     axes: dict[str, Any],
 ) -> dict[str, Any]:
-    """One record 58; the abscissa is stored beside the values unless it is evenly spaced as printed."""
     (response, reference), time = ends, function == TIME
     return {
         "type": 58,
@@ -200,7 +194,6 @@ def _function(
 
 
 def _is_even_as_printed(abscissa: FloatArray) -> bool:
-    """Whether the first value and the step, as pyuff prints them, give all others."""
     first, step = (float(f"{value:.5e}") for value in (abscissa[0], abscissa[1] - abscissa[0]))
     return bool(
         np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa)) <= _EVEN * np.max(np.abs(abscissa))
@@ -208,11 +201,7 @@ def _is_even_as_printed(abscissa: FloatArray) -> bool:
 
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:
-    """The units and all *sets* in a new file.
-
-    pyuff reads a file again after each set that it adds to it, so each is written alone; it leaves files
-    open, too.
-    """
+    """The units and all *sets* in a new file, each written alone: pyuff reads all again after every set."""
     # Needed for this alone.
     import pyuff
 

@@ -19,7 +19,7 @@ from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.artefacts.recording_file import RecordingWriter, open_recording, recording_contents
 from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.errors import DataError
-from labpipe.raw_files.frf_csv import read_frf_csv, write_frf_csv
+from labpipe.raw_files.frf_csv import port_of, read_frf_csv, write_frf_csv
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification, RuleOutcome
 from labpipe.records.recording import Channel
@@ -78,6 +78,12 @@ def test_frf_table_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
     np.testing.assert_allclose(other.variance, one.variance, rtol=1e-15)
     np.testing.assert_allclose(other.coherence, one.coherence, rtol=1e-15)
     assert (other.form, [p.label for p in other.outputs]) == ("accelerance", ["x", "y"])
+    # A probe named y along 135 deg was read back along 90 deg.
+    probes = tuple(
+        replace(port_of(dof), label=name, channel=name) for name, dof in (("x", "45 deg"), ("y", "135 deg"))
+    )
+    write_frf_csv(tmp_path / "a.csv", replace(one, outputs=probes))
+    assert read_frf_csv(tmp_path / "a.csv").outputs == probes
 
 
 @pytest.mark.parametrize(
@@ -91,12 +97,28 @@ def test_frf_table_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
         ("frequency_hz,x\n1,2\n2,3\n", "no columns 'output/input:re'"),
         ("frequency_hz,x/f:re,x/f:im\n2,2,3\n1,2,3\n", "do not increase"),
         ("frequency_hz,x/f:re,x/f:im\n1,2,3\n2,NaN,3\n", "not finite at index"),
+        ("frequency_hz,x/f:re,x/f:im,x/f:coh\n1,2,3,1\n2,3,3,-0.5\n", "holds the coherence -0.5"),
     ],
 )
 def test_frf_tables_that_are_none(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(DataError, match=message):
         read_frf_csv(tmp_path / "a.csv")
+
+
+def test_names_in_an_frf_table(tmp_path: Path) -> None:
+    """As Simcenter labels channels; a response named shaft/3 was read back as one named shaft."""
+    one = FrequencyResponse(
+        np.array([1.0, 2.0]),
+        np.array([1j, 2j]).reshape(2, 1, 1),
+        (Port("shaft:3:+X", "x", "x"),),
+        (Port("hammer:1/a", "f", "x"),),
+    )
+    write_frf_csv(tmp_path / "a.csv", one)
+    other = read_frf_csv(tmp_path / "a.csv")
+    assert (other.outputs[0].label, other.inputs[0].label) == ("shaft:3:+X", "hammer:1/a")
+    with pytest.raises(DataError, match="'shaft/3' cannot be a response in a table"):
+        write_frf_csv(tmp_path / "b.csv", replace(one, outputs=(Port("shaft/3", "x", "x"),)))
 
 
 def test_recording_round_trip_in_blocks(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -22,6 +22,7 @@ class Owner:
     clearance: float = setting("value", "clearance", unit="m", default=0.0)
     ratio: float = setting("value", "a pure number", unit="1", default=0.5)
     angle: float = setting("value", "an angle", unit="rad", default=0.0)
+    oil: float = setting("value", "a temperature", unit="K", default=293.15)
     elements: int = setting("integer", "number of elements", default=9)
     loads: Inner = setting("section", "loads", section=Inner, default=Inner())
 
@@ -39,6 +40,8 @@ class Owner:
         ("ratio=10 %:30 %:10 %", "1", [0.1, 0.2, 0.3]),
         ("angle=0:90:45 deg", "rad", [0, math.pi / 4, math.pi / 2]),
         ("loads.z=0:9:5", "N", [0, 5]),
+        ("oil=20:40:10 degC", "K", [293.15, 303.15, 313.15]),
+        ("oil=20 degC:40 degC:10 K", "K", [293.15, 303.15, 313.15]),
     ],
 )
 def test_values_in_si_units(text: str, unit: str, values: list[float]) -> None:

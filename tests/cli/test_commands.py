@@ -390,5 +390,7 @@ def test_identify_refuses_responses_that_were_made_with_other_settings(tmp_path:
     assert labpipe("frf", *stage).code == 0
     ended = labpipe("identify", *stage, "--set", "frf.exclude=[64-66 Hz]")
     assert ended.code == 2 and "was made with another exclude of `frf:` than the pipeline has" in ended.err
+    ended = labpipe("identify", *stage, "--set", "conditions={preload: 1 N}")
+    assert ended.code == 2 and "another preload of `conditions:` than the pipeline has" in ended.err
     assert not (tmp_path / "identification.json").exists()
     assert labpipe("identify", *stage).code == 0

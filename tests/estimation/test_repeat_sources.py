@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.estimation.budget import with_repeat_sources
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.project.pipeline_file import load_pipeline
+from labpipe.project.work import Work, run_fits
 from labpipe.records.identification import Fit
 from labpipe.records.uncertain import RepeatSource
 from labpipe.uncertainty.amounts import parameter_changes
@@ -114,6 +116,15 @@ def test_a_size_and_a_repeatability_test_are_read(tmp_path: Path) -> None:
     (tmp_path / "repeat.json").write_text(json.dumps({"comparisons": [comparison]}))
     found = loaded(tmp_path, "    day: {file: repeat.json, comparison: stiffness, per: date}")
     assert found == (RepeatSource("day", "k", 0.015, "date", 2.0),)
+
+
+def test_a_parameter_that_no_fit_has_is_named(tmp_path: Path) -> None:
+    """Its scatter went into no interval."""
+    loaded(tmp_path, "    d: {parameter: kk, size: 5 %}")
+    pipeline = load_pipeline(tmp_path / "p.yaml")
+    work = Work(pipeline, (), OutputFolder(tmp_path, tmp_path), test_fits={"peak": [fitted()]})
+    with pytest.raises(ConfigError, match=r"repeatability.d: no fit has a parameter 'kk'; did you mean 'k'"):
+        run_fits(pipeline.fits, work)
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_the_certificate_in_the_budget_and_the_result_as_a_certificate(tmp_path:
     pipeline = tmp_path / "p.yaml"
     recording = ROOT / "sample_data/hmb/pedestal.csv"
     pipeline.write_text(
-        f"title: T\nrig: rig.yaml\nrecordings: {recording}\nconditions: {{date: 2026-11-03}}\n"
+        f"title: T\nrig: rig.yaml\nrecordings: {recording}\nconditions: {{date: 2026-11-03 10:15}}\n"
         "frf: {excitation: periodic, period: 2 s, skip: 3, band: 1-100 Hz}\n"
         "identify: {p: {model: sdof, estimator: ml, input: f, output: y, band: 60-70 Hz}}\n"
         "accept: {p.c: {limits: [null, 3.73 N.s/m], rule: guarded}}\nreport: {formats: [md]}\n"
@@ -123,9 +123,24 @@ def test_the_certificate_in_the_budget_and_the_result_as_a_certificate(tmp_path:
     assert stated.quantity("k").values == (k.value,) and stated.quantity("fit1_k").unit == "N.m^-1"
     assert k.full_error is not None and stated.quantity("k").std_errors == pytest.approx((k.full_error,))
     assert "<dcc:conformity>conditionalPass</dcc:conformity>" in (tmp_path / "a.xml").read_text()
-    assert "2026-11-03" in (tmp_path / "a.xml").read_text()
+    assert "<dcc:endPerformanceDate>2026-11-03</" in (tmp_path / "a.xml").read_text()
 
 
 def test_what_is_no_result_is_no_certificate(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="cannot be written as a certificate"):
         write_dcc(tmp_path / "x.frf.parquet", tmp_path / "a.xml")
+
+
+TABLE = """certificate,serial,quantity,value,unit,uncertainty,coverage_factor
+D-7,SN 1,of a,8,V/mm,1 %,2
+D-7,SN 2,of b,4,V/mm,1 %,2
+"""
+
+
+def test_a_serial_number_is_that_of_the_quantity(tmp_path: Path) -> None:
+    """A table states it in every row: of a certificate of two probes the other one's number was taken."""
+    (tmp_path / "t.csv").write_text(TABLE)
+    own = rig(tmp_path, "t.csv, number: D-7, quantity: of b, serial: SN 2").channels[0]
+    assert own.scale == pytest.approx(1 / 4000)
+    with pytest.raises(ConfigErrors, match="is not of serial number 'SN 1' in 'of b'; it names: SN 2"):
+        rig(tmp_path, "t.csv, number: D-7, quantity: of b, serial: SN 1")

@@ -88,9 +88,15 @@ def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None
     assert (found.effect, found.uncertainty.dof, found.uncertainty.source) == (
         "gain",
         9,
-        "x.sensitivity cal.json#probe",
+        "sensitivity cal.json#probe",
     )
     assert found.uncertainty.std_error == pytest.approx(0.005)
+    # Another channel with this slope has its error.
+    path = tmp_path / "two.yaml"
+    entry = "{quantity: displacement, unit: V, sensitivity: cal.json#probe}"
+    path.write_text(f"sample_rate: 1 kHz\nchannels:\n  x: {entry}\n  y: {entry}\n")
+    first, second = (channel.channel.uncertainties for channel in load_rig(path).channels)
+    assert first == second == (found,)
 
 
 @pytest.mark.parametrize(

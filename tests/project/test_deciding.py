@@ -84,6 +84,16 @@ def test_what_is_behind_the_interval_counts() -> None:
     assert outcome("axial.k: {min: 134.1 kN/m, rule: guarded}").passed
 
 
+def test_a_guard_band_is_a_part_of_the_expanded_uncertainty() -> None:
+    """w = r U: of 7 degrees of freedom U = 2.3646 u by Student's t, not 1.96 u."""
+    reach = float(stats.t.ppf(0.975, 7)) * 100.0
+    k = replace(FIT.parameter("k"), ci95=(134.4e3 - reach, 134.4e3 + reach))
+    fit = replace(FIT, parameters=(k, FIT.parameter("c")))
+    for least, expected in (("134.2 kN/m", "conditional-pass"), ("134.16 kN/m", "pass")):
+        judged = outcome(f"axial.k: {{min: {least}, rule: guarded, guard: 1}}", fit)
+        assert judged.decision is not None and judged.decision.outcome == expected
+
+
 @pytest.mark.parametrize(
     ("fit", "why"),
     [

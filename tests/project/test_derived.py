@@ -277,3 +277,33 @@ def test_a_delay_that_all_members_have_is_the_delay_of_the_sum(tmp_path: Path) -
     text = HEAD.replace("unit: um,", "unit: um, delay: 20 us,")
     (tmp_path / "rig.yaml").write_text(text + "  d: {quantity: displacement, derived: x1 - x2}\n")
     assert load_rig(tmp_path / "rig.yaml").derived[0].delay == pytest.approx(2e-5)
+
+
+def test_numbers_in_their_long_form(tmp_path: Path) -> None:
+    """The same terms as of `30 kg +- 0.1 kg (source=scale)`: 0.3 kg of half width are 0.1732 kg."""
+    long = "{value: 30 kg, limits: 0.3 kg, source: scale}"
+    text = HEAD.replace("30 kg +- 0.1 kg", long)
+    text += "derived:\n  e: {sum: {f: 1, a: m_s}, quantity: force, dof: x, position: 5 mm}\n"
+    text += f"  d: {{sum: {{f: 1, a: {long}}}, quantity: force, dof: z}}\n"
+    (tmp_path / "rig.yaml").write_text(text)
+    e, d = load_rig(tmp_path / "rig.yaml").derived
+    numbers = [channel.terms[1].numbers[0] for channel in (e, d)]
+    assert [(number.source, number.std_error) for number in numbers] == [
+        ("scale", pytest.approx(0.3 / math.sqrt(3)))
+    ] * 2
+    assert e.position == 0.005
+
+
+def test_a_minus_of_a_number_is_that_of_its_term(tmp_path: Path) -> None:
+    """One scale weighs all of them too heavy together: of -30 kg and of - 30 kg the derivative is -1."""
+    listed = "s: {quantity: force, derived: 'f + -30 kg +- 0.1 kg (source=scale) * a', dof: x}"
+    signed = "t: {quantity: force, derived: 'f - 30 kg +- 0.1 kg (source=scale) * a', dof: y}"
+    first, second = (channel.terms[1] for channel in rig(tmp_path, listed, signed).derived)
+    assert (first.factor, second.factor) == (-30.0, -30.0)
+    assert first.derivatives == second.derivatives == (-1.0,)
+    assert first.numbers[0].value == second.numbers[0].value == 30.0
+
+
+def test_a_direction_of_a_sum_carries_no_uncertainty(tmp_path: Path) -> None:
+    with pytest.raises(ConfigErrors, match=r"rig.yaml:\d+:\d+: channels.s.dof: a sum has no uncertainty"):
+        rig(tmp_path, "s: {quantity: force, derived: f - m_s * a, dof: x +- 1 deg}")

@@ -8,9 +8,11 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import labpipe
 from tests.project.laboratory import ALONE, PIPELINE, RIG, Witness, contents, done, laboratory, recording
 
 RESULT = "identification.json"
@@ -220,3 +222,21 @@ def test_the_texts_of_the_laboratory_are_those_that_are_changed() -> None:
         and "recordings: soft.csv" in ALONE
         and "tests:" not in ALONE
     )
+
+
+def test_conditions_of_a_ready_response_reach_its_fits(tmp_path: Path) -> None:
+    """The error between mountings went by the mounting of an earlier run."""
+    jw = 2j * np.pi * np.arange(20.0, 40.0)
+    h = 1 / (45e3 + 30 * jw + 0.92 * jw**2)
+    rows = "".join(f"{20 + n},{x.real!r},{x.imag!r}\n" for n, x in enumerate(h.tolist()))
+    for name in "ab":
+        (tmp_path / f"{name}.csv").write_text(f"# {name}\nfrequency_hz,x/f:re,x/f:im\n{rows}")
+    for mounting in ("2", "1"):
+        (tmp_path / "p.yaml").write_text(
+            "tests:\n  - {name: a, frfs: a.csv, conditions: {mounting: 1}}\n"
+            f"  - {{name: b, frfs: b.csv, conditions: {{mounting: {mounting}}}}}\n"
+            "uncertainty: {repeatability: {remounting: {parameter: k, size: 1 %, per: mounting}}}\n"
+            "identify: {s: {model: sdof, estimator: ls, mass: 0.92 kg}}\nreport: {formats: []}\n"
+        )
+        fits = labpipe.run(tmp_path / "p.yaml", tmp_path / "out").fits
+    assert [fit.budget.sources[0].source for fit in fits] == ["remounting (mounting 1)"] * 2

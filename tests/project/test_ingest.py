@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import output_folder
@@ -101,7 +102,7 @@ def test_calibration_is_linear(tmp_path_factory: pytest.TempPathFactory, factor:
 
 def test_columns_that_the_rig_does_not_name_are_left_out_and_order_is_the_rig_s(tmp_path: Path) -> None:
     rows = np.arange(20.0).reshape(5, 4)
-    raw = csv_file(tmp_path, ["spare", "y [um]", "t [s]", "force [N]"], rows)
+    raw = csv_file(tmp_path, ["spare", "y [um]", "n", "force [N]"], rows)
     stored = ingested(tmp_path, raw, rig_file(tmp_path))
     assert [channel.name for channel in stored.channels] == ["f", "y"]
     np.testing.assert_allclose(
@@ -131,6 +132,25 @@ def test_the_rate_comes_from_the_time_column_in_its_unit(tmp_path: Path, unit: s
     raw = csv_file(tmp_path, [f"t [{unit}]", *TWO], rows)
     rig = rig_file(tmp_path, head=f'name: R\ntime: "t [{unit}]"\nchannels:\n')
     assert ingested(tmp_path, raw, rig).sample_rate == pytest.approx(1000.0, rel=1e-9)
+
+
+def test_rates_of_file_and_rig_agree(tmp_path: Path) -> None:
+    """Times at 1 kHz under sample_rate: 100 Hz made every frequency ten times too low."""
+    rows = np.column_stack([np.arange(50) * 1e-3, np.zeros((50, 2))])
+    raw = csv_file(tmp_path, ["t [s]", *TWO], rows)
+    with pytest.raises(DataError, match=r"is sampled at 1000 Hz by its column 't .s.', at 100 Hz by the rig"):
+        ingested(tmp_path, raw, rig_file(tmp_path))
+    # Times of one digit have a median step of zero, a gap of 9 s makes the mean one longer: no other rate.
+    for times in (np.arange(50) // 10 / 10, np.arange(50) / 100 + np.repeat([0.0, 9.0], 25)):
+        rows[:, 0] = times
+        assert (
+            ingested(tmp_path, csv_file(tmp_path, ["t [s]", *TWO], rows), rig_file(tmp_path)).n_sample == 50
+        )
+    # A rate of the file itself beside its times.
+    savemat(tmp_path / "m.mat", {"t": np.arange(50) / 500, "f": np.ones(50), "fs": 1000.0})
+    rig = rig_file(tmp_path, "  f: {quantity: force, unit: N}\n", "name: R\ntime: t\nchannels:\n")
+    with pytest.raises(DataError, match="is sampled at 1000 Hz by the file itself, at 500 Hz by its times"):
+        ingested(tmp_path, tmp_path / "m.mat", rig)
 
 
 def test_a_stated_rate_is_taken(tmp_path: Path) -> None:

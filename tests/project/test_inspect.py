@@ -104,6 +104,9 @@ def test_what_the_rig_says_otherwise_is_listed(tmp_path: Path) -> None:
         "no column 't [ms]'" in found[0]
         and "is in um by the file's own header, in mm by the rig file" in found[1]
     )
+    (tmp_path / "rig.yaml").write_text(RIG.format(head="sample_rate: 500 Hz\n"))
+    (rate,) = seen(table(tmp_path), tmp_path / "rig.yaml").contradictions or ()
+    assert "is sampled at 1000 Hz by its column 't [s]', at 500 Hz by the rig file" in rate
 
 
 def test_a_calibrated_recording_shows_its_channels(tmp_path: Path) -> None:

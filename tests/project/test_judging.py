@@ -71,6 +71,9 @@ def test_a_bias_that_nobody_knows_is_not_accepted_unless_it_is_expected() -> Non
     taken = replace(expected, section="accept", bound="also feedback")
     for of in (biased, with_warnings("leakage"), with_warnings()):
         assert all(outcome.passed for outcome in judge([taken], [of], {}))
+    # What is taken of one test is taken of no other.
+    rules, other = [replace(taken, which="test")], replace(biased, test="other")
+    assert [outcome.passed for outcome in judge(rules, [biased, other], {})] == [True, False]
 
 
 def test_one_rule_says_which_warnings_of_every_fit_refuse_a_result() -> None:

@@ -125,3 +125,13 @@ def test_a_time_that_one_file_lacks_is_said(lab: Path, labpipe) -> None:
     ), ended
     (lab / "p.yaml").write_text(JOINED)
     assert labpipe("run", "p.yaml", "-o", "out").code == 0
+
+
+def test_a_calibrated_recording_is_not_joined(lab: Path, labpipe) -> None:
+    """The files behind it were left out without a word."""
+    header = "t [s],f,y"
+    write(lab / "a.csv", np.arange(8) / RATE, np.arange(8.0) ** 2, np.ones(8) * 2, header=header)
+    assert labpipe("ingest", "a.csv", "-r", "rig.yaml", "-o", "rec").code == 0
+    (lab / "p.yaml").write_text(JOINED.replace("force.txt, motion.txt", "rec/a.recording.parquet, a.csv"))
+    done = labpipe("run", "p.yaml", "-o", "out")
+    assert done.code == 2 and "a.recording.parquet: is calibrated already, and is not joined" in done.err

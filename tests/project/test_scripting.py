@@ -90,6 +90,12 @@ def test_a_file_that_states_its_units_needs_no_rig(
     ]
 
 
+def test_the_g_of_an_acceleration_is_no_gram(tmp_path: Path) -> None:
+    """Two rows of 1 g: standard gravity, 9.80665 m/s^2 (CGPM 1901)."""
+    (tmp_path / "a.csv").write_text("t [s],acc [g]\n0,1\n0.1,1\n0.2,2\n")
+    np.testing.assert_allclose(labpipe.read(tmp_path / "a.csv").samples[:, 0], [9.80665, 9.80665, 19.6133])
+
+
 def test_a_file_without_time_or_units_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("force [N],x [um]\n1,2\n3,4\n2,9\n")
     with pytest.raises(labpipe.LabpipeError, match="no sampling rate and has no time column"):

@@ -197,7 +197,8 @@ def test_channels_of_one_run_in_several_files(folder: Path) -> None:
         ),
         (
             "recordings: runs/z.csv\n",
-            "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the pipeline file",
+            "p.yaml:2:1: recordings: no such file 'runs/z.csv'; paths are relative to the file that names "
+            "them",
         ),
         (
             "recordings: 'z*.csv'\n",
@@ -361,3 +362,56 @@ def test_faults_of_a_test_s_own_spectra_stand_at_their_place(folder: Path) -> No
     text = f"rig: rig.yaml\n{FRF}tests:\n  - {{name: dry, recordings: runs/a.csv, frf: {{perod: 2 s}}}}\n"
     (fault,) = faults(folder, text)
     assert fault.startswith("p.yaml:4:") and "tests.1.frf.perod: unknown key; did you mean 'period'?" in fault
+
+
+def test_a_part_that_stands_twice_in_a_pattern_is_the_same_in_both_places() -> None:
+    assert conditions_in("1kN-run-1kN", "{load}-{}-{load}") == {"load": "1kN"}
+    assert conditions_in("1kN-2kN", "{load}-{load}") is None
+
+
+@pytest.mark.parametrize("amount", ["[1 kN, 2 kN]", "", "null", "''"])
+def test_a_condition_without_an_amount_is_refused(folder: Path, amount: str) -> None:
+    text = f"rig: rig.yaml\nrecordings: runs/a.csv\nconditions: {{load: {amount}}}\n{FRF}"
+    assert faults(folder, text) == [
+        "p.yaml:3:14: conditions.load: an amount or a word is needed; for example speed: 3000 rpm"
+    ]
+
+
+def test_files_of_one_test_say_what_their_repeats_are(folder: Path) -> None:
+    entry = "{each: runs/*N-*.csv, pattern: '{load}-{run}', together: run, repeats: pool}"
+    tests = load(folder, f"rig: rig.yaml\ntests: [{entry}]\n{FRF}").tests
+    assert [(test.name, test.repeats) for test in tests] == [("427N", "pool"), ("701N", "pool")]
+    wrong = faults(folder, f"rig: rig.yaml\ntests: [{entry.replace('pool', 'poll')}]\n{FRF}")
+    assert wrong == ["p.yaml:2:71: tests.1.repeats: unknown 'poll'; write each or pool"]
+
+
+def test_a_calibrated_recording_keeps_its_channels(folder: Path) -> None:
+    """Its dofs, delays and tables are those it was made with: entries that say others would do nothing."""
+    (folder / "a.recording.parquet").touch()
+    for entry, place in (("channels: {x: {dof: y}}", 41), ("pattern: '{output}'", 41)):
+        text = f"rig: rig.yaml\nrecordings: {{file: a.recording.parquet, {entry}}}\n{FRF}"
+        word = entry.partition(":")[0]
+        what = "'a.recording.parquet' is calibrated, its channels stay as they are"
+        hint = "name the raw file, or leave it out"
+        assert faults(folder, text) == [f"p.yaml:2:{place}: recordings.{word}: {what}; {hint}"]
+
+
+def test_a_listed_sum_is_a_channel_that_a_recording_may_move(folder: Path) -> None:
+    derived = "derived:\n  d: {sum: {x: 2}, quantity: displacement, dof: y}\n"
+    (folder / "rig.yaml").write_text(RIG.format(name="R", mass="2 kg") + derived)
+    text = f"rig: rig.yaml\nrecordings: {{file: runs/a.csv, channels: {{d: {{dof: z}}}}}}\n{FRF}"
+    (source,) = load(folder, text).tests[0].recordings
+    assert source.rig.derived[0].dof == "z"
+
+
+def test_files_of_a_channel_lie_beside_what_names_them(folder: Path) -> None:
+    """A table that the pipeline names lies beside the pipeline, one that the rig file names beside that."""
+    for place, gain in (("probe.csv", 2), ("runs/probe.csv", 3)):
+        (folder / place).write_text(f"frequency_hz,gain,phase_deg\n0,{gain},0\n500,{gain},0\n")
+    (folder / "runs/rig.yaml").write_text(
+        RIG.format(name="R", mass="2 kg").replace("ment}", "ment, response: probe.csv}")
+    )
+    for entry, gain in (("", 3.0), (", channels: {x: {response: probe.csv}}", 2.0)):
+        text = f"rig: runs/rig.yaml\nrecordings: {{file: runs/a.csv{entry}}}\n{FRF}"
+        (source,) = load(folder, text).tests[0].recordings
+        assert source.rig.channels[1].channel.response[0] == (0.0, gain, 0.0)

@@ -221,3 +221,14 @@ def test_a_phase_that_begins_later_and_one_of_negative_uncertainty_are_refused(t
         content = "\n".join([head, rows[0] + cells, rows[1] + ",-2.5,0.3"])
         with pytest.raises(UnitError, match=what):
             read_certificate(written(tmp_path, content, "p.csv"))
+
+
+def test_a_list_has_one_unit_for_all_numbers_or_one_for_each(tmp_path: Path) -> None:
+    """As D-SI allows; they were read as one product, hertz times hertz."""
+    each = CERTIFICATE.replace("<si:unitXMLList>\\hertz<", "<si:unitXMLList>\\hertz \\hertz \\hertz<")
+    assert read_certificate(written(tmp_path, each)).quantity("vib_frequency").unit == "Hz"
+    mixed = each.replace("\\hertz \\hertz <", "\\hertz \\kilo\\hertz <").replace(
+        "\\hertz<", "\\kilo\\hertz<", 1
+    )
+    with pytest.raises(UnitError, match="a list of numbers has several units"):
+        read_certificate(written(tmp_path, mixed))

@@ -119,6 +119,7 @@ def test_nodes_lines_and_elements_of_another_program(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("    -1\n    15\n         1         0         0\n    -1\n", "the record 15 cannot be read"),
+        ("    -1\n    15\n 1 0 0 0 0. 0. 0.\n 1 0 0 0 1. 0. 0.\n    -1\n", "node 1 lies at two places"),
         ("    -1\n    82\n         1         1         1\nname\n         1\n    -1\n", "holds no nodes"),
         ("not a universal file", "holds no nodes"),
         ("    -1\n    1\xb2\n    -1\n", "holds no nodes"),

@@ -238,6 +238,7 @@ FRF = {
         ),
         ({"H": "text"}, "H holds no numbers"),
         ({"form": "reluctance"}, "unknown form 'reluctance'"),
+        ({"unit": "mm/N"}, "H is in mm/N by the variable unit, a receptance in m/N is needed"),
         ({"output_dofs": np.array(["x", "y"], object)}, "differ in length"),
     ],
 )

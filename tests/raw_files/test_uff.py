@@ -264,6 +264,11 @@ def test_a_label_that_contradicts_record_164(tmp_path: Path, rng) -> None:
     path = written(tmp_path / "h.uff", units(1.0, 1.0), function(rng, ordinate_axis_units_lab="mm/s2"))
     with pytest.raises(DataError, match="contradicts the units of record 164"):
         read_frf_uff(path)
+    time = {"func_type": 1, "abscissa_spec_data_type": 17, "ordinate_axis_units_lab": "g"}
+    samples = function(rng, data=rng.normal(size=20), x=np.arange(20) / 100, **time)
+    path = written(tmp_path / "t.uff", units(1.0, 1.0), samples)
+    with pytest.raises(DataError, match=r"t.uff: record 1 .*: the label 'g' contradicts the units of record"):
+        UffTable(path)
 
 
 CHANNELS = (

@@ -5,6 +5,7 @@ beside, faults.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +157,10 @@ def test_rotor_tables_give_k_and_c_at_the_whirl_frequency(result: Path) -> None:
         whirl["frequency"].iloc[[0, -1]], 2 * np.pi * np.array(identification.fits[0].band_hz)
     )
     assert np.ptp(whirl["kxy"]) < 1e-6 * whirl["kxx"][0] and whirl["kyx"][0] == synchronous["kyx"][0]
+    # Of a band above the speed k and c are those of its lowest frequency.
+    narrow = [replace(fit, band_hz=(100.0, 120.0), details=()) for fit in identification.fits]
+    beyond = dict(rotor_sheets(replace(identification, fits=tuple(narrow)), (matrix,)))["1 synchronous"]
+    np.testing.assert_allclose(beyond["cyy"], synchronous["cyy"], rtol=1e-9)
 
 
 def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:
