@@ -18,16 +18,10 @@ from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Identification
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.text import parameter_cells
-from labpipe.report import chart
+from labpipe.report import chart, loop_figures
 from labpipe.report.budget import comparison_budget_blocks
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 from labpipe.report.figures import over_frequency, scale_of
-from labpipe.report.loop_figures import (
-    band_figures,
-    certificate_figures,
-    prediction_figures,
-    sensitivity_figures,
-)
 from labpipe.report.wording import legible, unit_text
 
 
@@ -263,10 +257,10 @@ FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "rayleigh": _beside,
 }
 OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
-    "prediction": prediction_figures,
-    "bands": band_figures,
-    "sensitivity": sensitivity_figures,
-    "certificate": certificate_figures,
+    "prediction": loop_figures.prediction_figures,
+    "bands": loop_figures.band_figures,
+    "sensitivity": loop_figures.sensitivity_figures,
+    "certificate": loop_figures.certificate_figures,
 }
 
 AMOUNT_HEADER = ("amount", "value", "unit", "std. error", "95 % interval")

@@ -15,15 +15,10 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import BlockCovariance, FactoredCovariance
+from labpipe.spectra import damping
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF
-from labpipe.spectra.damping import (
-    HALF_WIDTH,
-    correlation_matrix,
-    covariance_without_damping,
-    without_added_damping,
-)
 from labpipe.spectra.ports import Layout, Parts, left_out, lines_left
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
@@ -360,8 +355,8 @@ class _HitAverage:
             )
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
             self._lines = slice(
-                max(1, self._lines.start - HALF_WIDTH),
-                min(self.n_sample // 2 + 1, self._lines.stop + HALF_WIDTH),
+                max(1, self._lines.start - damping.HALF_WIDTH),
+                min(self.n_sample // 2 + 1, self._lines.stop + damping.HALF_WIDTH),
             )
         n_channel = len(source.channels)
         n_line = int(self._lines.stop - self._lines.start)
@@ -487,20 +482,20 @@ class _HitAverage:
 
 
 def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
-    undamped = without_added_damping(parts.frequency, parts.matrix, decay)
+    undamped = damping.without_added_damping(parts.frequency, parts.matrix, decay)
     gains = undamped.gains
     covariance = parts.covariance
     if isinstance(covariance, np.ndarray):
-        covariance = covariance_without_damping(gains, covariance, correlation)
+        covariance = damping.covariance_without_damping(gains, covariance, correlation)
     elif isinstance(covariance, BlockCovariance):
         by_element = gains.reshape(*gains.shape[:2], -1)
         blocks = np.empty_like(covariance.blocks)
         for number, elements in enumerate(covariance.elements):
-            blocks[:, number] = covariance_without_damping(
+            blocks[:, number] = damping.covariance_without_damping(
                 by_element[:, :, elements], covariance.blocks[:, number], correlation
             )
         covariance = BlockCovariance(covariance.elements, handed_over(blocks))
-    between = correlation_matrix(np.arange(gains.shape[1]), correlation)
+    between = damping.correlation_matrix(np.arange(gains.shape[1]), correlation)
     size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
     return dataclasses.replace(
         parts,

@@ -18,16 +18,11 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.records.uncertain import MatrixError
+from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_periodic, joined_response
 from labpipe.spectra.feedback import feedback_of_periods
-from labpipe.spectra.joint import (
-    check_references,
-    covariance_by_neighbours,
-    open_loop_estimate,
-    open_loop_note,
-)
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import (
     LineSpectrum,
@@ -86,10 +81,10 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and noise is not None and snr is not None:
         for number, port in enumerate(layout.inputs):
             check_moved(snr[:, number], frequency, settings.reference, [port.label])
-        covariance = covariance_by_neighbours(frequency, matrix, mean, noises)
+        covariance = joint.covariance_by_neighbours(frequency, matrix, mean, noises)
         power = np.tensordot([spectrum.n_period for spectrum in spectra], noise, axes=1)
-        open_loop = open_loop_estimate(mean @ hermitian(mean) + power, n_input)
-        findings.append(open_loop_note(frequency, matrix, covariance, open_loop))
+        open_loop = joint.open_loop_estimate(mean @ hermitian(mean) + power, n_input)
+        findings.append(joint.open_loop_note(frequency, matrix, covariance, open_loop))
     else:
         covariance = None if noise is None else covariance_of_periodic(matrix, inverse, noise)
         findings += feedback_of_periods([s.select(lines) for s in single], matrix, inverse, layout)
@@ -134,7 +129,7 @@ def _injected_lines(
     Not where a force exceeds its noise: to choose lines by the force's noise prefers errors of one sign.
     DataError for a reference without lines.
     """
-    check_references(sources, settings)
+    joint.check_references(sources, settings)
     injected = np.ones(spectra[0].frequency.size, bool)
     for spectrum, source in zip(spectra, sources, strict=True):
         columns = [

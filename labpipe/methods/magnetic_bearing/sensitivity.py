@@ -14,6 +14,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.measured import Measured, chosen_ports, select_ports
+from labpipe.methods.magnetic_bearing import loop_problem
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.loop_fit import (
     LoopFit,
@@ -21,12 +22,6 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     goodness,
     identifiability_findings,
     loop_fit,
-)
-from labpipe.methods.magnetic_bearing.loop_problem import (
-    LoopObservation,
-    merge,
-    response_errors,
-    with_unknowns,
 )
 from labpipe.methods.magnetic_bearing.measured_margins import Course, crest_of
 from labpipe.methods.magnetic_bearing.stability import ZONES, sensitivity, zone_of
@@ -96,7 +91,7 @@ class MeasuredSensitivity:
         """Combined standard uncertainty of |S|, (n_line,) [1]."""
         return np.asarray(np.sqrt(self.error**2 + np.sum(self.size_changes**2, axis=0)))
 
-    def observation(self, file: MagneticFile) -> LoopObservation:
+    def observation(self, file: MagneticFile) -> loop_problem.LoopObservation:
         """S with its noise, and its prediction by a file."""
         dof, averages = self.response.covariance_dof, self.response.averages
         shared = max(dof / (averages - 1), 1.0) if np.isfinite(dof) and averages > 1 else 1.0
@@ -121,7 +116,7 @@ class MeasuredSensitivity:
             factor = np.where(np.abs(factor) < MOST_SCALED, factor, 1.0)[:, None, None]
             return [replace(error, change=error.change * factor) for error in self.errors]
 
-        return LoopObservation(
+        return loop_problem.LoopObservation(
             measured,
             lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None],
             file,
@@ -241,7 +236,9 @@ def _size(file: MagneticFile, frequency: FloatArray) -> FloatArray:
 def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
     parts = {} if predicted is None else {"theory": predicted}
     if theory is not None and theory[1].usable:
-        parts["matched"] = _size(with_unknowns(theory[0], theory[1].values()), measured.frequency)
+        parts["matched"] = _size(
+            loop_problem.with_unknowns(theory[0], theory[1].values()), measured.frequency
+        )
     reach = measured.quantile * measured.combined
     parts |= {"measured": measured.size, "low": measured.size - reach, "high": measured.size + reach}
     return curve_of(measured.response.name, "sensitivity", "1", frequency=measured.frequency, **parts)
@@ -376,7 +373,7 @@ def _errors(
         change = (moved[:, :, outputs].swapaxes(1, 2) - matrix @ moved[:, :, inputs].swapaxes(1, 2)) @ inverse
         plain = Uncertainty(factor.source, factor.std_error, factor.unit)
         errors.append(MatrixError(uncertainties.get(factor.source, plain), change))
-    return merge(errors)
+    return loop_problem.merge(errors)
 
 
 def _port(spectra: ChannelSpectra, number: int) -> Port:
@@ -495,6 +492,6 @@ def sensitivity_matrix(
     used = list(dict.fromkeys([*rows, *ahead]))
     errors = tuple(
         replace(error, change=picked[:, :, used] @ error.change @ inverse)
-        for error in response_errors(response, used, list(range(n)))
+        for error in loop_problem.response_errors(response, used, list(range(n)))
     )
     return SensitivityMatrix(response, values, covariance, errors)

@@ -18,18 +18,11 @@ from labpipe.methods.balancing.influence import best_weights, rms_left, square_o
 from labpipe.methods.rotor.posterior import root_of
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
+from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
 from labpipe.methods.rotor_system.model import Curve, SystemModel, orthonormal
 from labpipe.methods.rotor_system.posterior import SystemPosterior, normal_draws
-from labpipe.methods.rotor_system.records import (
-    BalanceResult,
-    Campbell,
-    CriticalResult,
-    InfluenceResult,
-    VibrationResult,
-    WeightResult,
-)
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.records.finding import NORMAL
 
@@ -53,7 +46,7 @@ def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
     return np.where(model.acting(RUNNING), values, 0.0)
 
 
-def campbell(posterior: SystemPosterior, speeds: FloatArray) -> Campbell:
+def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell:
     """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order:
     f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
     """
@@ -78,7 +71,7 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> Campbell:
         d_error[number, there] = posterior.gradient_error(moved)
         whirl[number, there] = modes.whirl[chosen]
     w = posterior.widened
-    return Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
+    return records.Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
 
 
 def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float, float, FloatArray]:
@@ -197,7 +190,7 @@ def critical_speeds(
     outputs: Sequence[int],
     n_draw: int = DRAWS,
     seed: int = 1,
-) -> list[CriticalResult]:
+) -> list[records.CriticalResult]:
     """Critical speeds in a *band* [Hz] as the unbalance response at *outputs* shows them, with intervals from
     draws in a reduced basis; each once, where its peak is highest.
     """
@@ -233,7 +226,7 @@ def _critical(
     draws: FloatArray,
     operating: float,
     apart: float,
-) -> CriticalResult:
+) -> records.CriticalResult:
     half = AROUND
     # A flat peak needs more room for its half-power points.
     if peak.low is not None and peak.high is not None:
@@ -247,7 +240,7 @@ def _critical(
     factors = np.array([row.amplification for row in whole], dtype=float)
     margins = [row.margin(operating) for row in whole] if operating else []
     asked = [margin for margin in margins if margin is not None and margin[1] > 0]
-    return CriticalResult(
+    return records.CriticalResult(
         f"{dof // 4 + 1} {'yz'[dof % 4]}",
         peak.speed,
         _interval(peak.speed, np.array([row.speed for row in there])),
@@ -296,7 +289,9 @@ def _interval(value: float, draws: FloatArray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def balance(settings: RotorSystemSettings, built: Built, posterior: SystemPosterior) -> BalanceResult | None:
+def balance(
+    settings: RotorSystemSettings, built: Built, posterior: SystemPosterior
+) -> records.BalanceResult | None:
     """Weights in the planes of the unbalances, what they leave, and what one more run would change."""
     runs = [test for test in posterior.tests if isinstance(test, RunUpVectors)]
     if not settings.balance_speeds or not runs:
@@ -308,10 +303,10 @@ def balance(settings: RotorSystemSettings, built: Built, posterior: SystemPoster
     drawn = drawn_influence(built, test, posterior.draws(settings.draws, settings.seed))
     weights = best_weights(square_of(drawn))
     before, left = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))
-    return BalanceResult(
+    return records.BalanceResult(
         settings.balance_speeds,
         tuple(
-            WeightResult(node, float(abs(w)), float(np.angle(w) % (2 * np.pi)))
+            records.WeightResult(node, float(abs(w)), float(np.angle(w) % (2 * np.pi)))
             for node, w in zip(built.planes, weights, strict=True)
         ),
         float(np.sqrt(np.mean(before**2))),
@@ -329,7 +324,7 @@ def _over_speed(
     posterior: SystemPosterior,
     test: RunUpVectors,
     weights: ComplexArray,
-) -> VibrationResult:
+) -> records.VibrationResult:
     asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
     speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
     wide = replace(test, speed=2 * np.pi * speed)
@@ -338,10 +333,10 @@ def _over_speed(
     before, after = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))
     low, high = np.percentile(after, (2.5, 97.5), axis=0)
     before, middle = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))
-    return VibrationResult(speed, before, middle, low, posterior.widened * high)
+    return records.VibrationResult(speed, before, middle, low, posterior.widened * high)
 
 
-def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVectors) -> InfluenceResult:
+def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVectors) -> records.InfluenceResult:
     """z_0 = H u and alpha = H at the speeds and probes of a *test*, with the root of their covariance: the
     half differences over one standard deviation to either side along each axis of the posterior, which is
     widened where intervals are.
@@ -361,7 +356,7 @@ def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVector
         for dof in test.outputs
     )
     planes = tuple(f"node {node}" for node in built.planes)
-    return InfluenceResult(planes, readings, parts(middle), np.array(root).T, posterior.widened)
+    return records.InfluenceResult(planes, readings, parts(middle), np.array(root).T, posterior.widened)
 
 
 def interval_of(left: FloatArray, widened: float) -> tuple[float, float]:
