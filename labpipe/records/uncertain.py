@@ -14,11 +14,10 @@ from labpipe.arrays import ComplexArray, FloatArray, frozen_array
 from labpipe.quantities import UnitError, parse_value, written_unit
 from labpipe.registry import nearest
 
-# Numbers with their standard uncertainty, and how people write them: 8 V/mm +- 1 %, 0.79 kg +- 5 g
-# (rectangular, source=scale).
-
 # Half width over standard uncertainty of distributions with sharp ends (GUM 4.3.7, 4.3.9).
 SHAPES = {"normal": 1.0, "rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0)}
+# A relative uncertainty above it is a slip: of logarithms, 1000 % are nine decades either way.
+MOST_RELATIVE = 10
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,11 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
     size = abs(value) * parse_value(size_text, "1") if relative else _difference(size_text, unit)
     if size < 0:
         raise UnitError(f"'{text}' has a negative uncertainty")
+    if relative and size > MOST_RELATIVE * abs(value):
+        raise UnitError(
+            f"'{size_text}' is more than {MOST_RELATIVE} times the value",
+            "write the uncertainty with its unit",
+        )
     return _qualify(Uncertain(value, size), qualities)
 
 

@@ -234,7 +234,7 @@ def test_the_same_input_gives_the_same_bytes(ball: Path, labpipe, tmp_path: Path
             "bal-bearing",
             ["ball.yaml:1:1: kind: unknown bearing 'bal-bearing'; did you mean 'ball-bearing'?"],
         ),
-        ("elements: 9", "elements: 2", ["ball.yaml:1:1: 2 rolling elements do not make a bearing"]),
+        ("elements: 9", "elements: 2", ["ball.yaml:2:1: elements: 2 rolling elements do not make a bearing"]),
         ("elements: 9", "elements: nine", ["ball.yaml:2:1: elements: 'nine' is not a whole number"]),
         (
             "stiffness_constant: 1.10e10",

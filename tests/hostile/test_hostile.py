@@ -126,7 +126,7 @@ def scaled(column: int, factor: float) -> str:
         (1, 1e300, "is no measured number"),
         (2, 1e-160, "which nothing measures"),
         (0, 1e-300, "check the unit of the time"),
-        (0, 1e-9, "a block or period of 1 s is longer than the recording"),
+        (0, 1e-9, "a period of 1 s is longer than the recording"),
     ],
 )
 def test_numbers_that_nothing_measures_are_refused(

@@ -107,6 +107,7 @@ def test_a_calibration_fit_brings_the_error_of_its_slope(tmp_path: Path) -> None
         (f'{PROBE}, uncertainty: {{gain: "1 % (shape=round)"}}', "'shape=round' says nothing of"),
         (f"{PROBE}, dof: 45 deg +- 1 %", "'1 %' is relative, of zero"),
         (f"{PROBE}, uncertainty: {{phase: 1 %}}", "'1 %' is relative, of zero"),
+        (f"{PROBE} +- 40000 %", "'40000 %' is more than 10 times the value"),
         (f'{PROBE}, uncertainty: {{gain: "1 % (k=2, k=2)"}}', "'k=2' stands beside another k"),
         (f"{PROBE[:-6]}{{value: 8 V/mm, std: 1 %, limits: 2 %}}", "'limits=2 %' says nothing"),
         (f"{PROBE[:-6]}{{value: 8 V/mm, std: 1 %, k: 2}}", "'k=2' stands beside another k"),

@@ -189,8 +189,9 @@ class Rotor:
             )
         for disc in self.discs:
             self.check_node(disc.node, "a disc")
+        n = len(self.elements)
         for sleeve in self.sleeves:
-            if not 1 <= sleeve.element <= (n := len(self.elements)):
+            if not 1 <= sleeve.element <= n:
                 raise ConfigError(
                     f"a sleeve sits on element {sleeve.element}, the rotor has elements 1 to {n}"
                 )

@@ -29,6 +29,8 @@ MOST_MODES = 8
 # Half-power points, and speeds per peak of the response.
 HALF_POWER = np.sqrt(0.5)
 FINE = 1500
+# Amplitudes [m] below which a point is at rest: what they are to the power of -2 is still a number.
+AT_REST = 1e-150
 # Amplification below which API 684 sees no critical speed.
 LEAST_AMPLIFICATION = 2.5
 
@@ -231,7 +233,7 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
     """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds; none of a
     point at rest.
     """
-    if np.min(amplitude) <= 0:
+    if np.min(amplitude) < AT_REST:
         return []
     curve = scipy.interpolate.CubicSpline(speed, amplitude**-2.0)
     criticals = []

@@ -82,6 +82,12 @@ def test_plane_matrices_of_a_slender_element_are_the_textbook_ones() -> None:
     np.testing.assert_allclose(rotary, element.material.density * element.second_moment * expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize("element", [0, 2])
+def test_a_sleeve_on_no_element_is_refused(element: int) -> None:
+    with pytest.raises(ConfigError, match=f"element {element}, the rotor has elements 1 to 1"):
+        Rotor((ShaftElement(0.1, 0.03),), sleeves=(Sleeve(element, 0.04),))
+
+
 def test_a_sleeve_adds_inertia_but_no_stiffness() -> None:
     bare = Rotor((ShaftElement(0.1, 0.03), ShaftElement(0.1, 0.03)), alpha=2.0)
     sleeved = Rotor(bare.elements, sleeves=(Sleeve(2, 0.04),), alpha=2.0)
