@@ -311,4 +311,5 @@ METHOD = Method(
         "worn": worn_film,
         "not tested": partial(gaps, "journal"),
     },
+    long=("at rest",),
 )

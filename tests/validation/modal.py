@@ -161,4 +161,5 @@ METHOD = Method(
         "free decay": free_decay,
         "not tested": partial(gaps, "modal"),
     },
+    long=("number of modes",),
 )

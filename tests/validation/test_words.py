@@ -58,7 +58,7 @@ def test_as_it_stands(tmp_path: Path) -> None:
     ("band", "window"),
     [
         ("206-218 Hz", "hann"),
-        ("190-235 Hz", None),
+        pytest.param("190-235 Hz", None, marks=pytest.mark.long),
         *(pytest.param(band, "hann", marks=pytest.mark.long) for band in ("204-220 Hz", "190-235 Hz")),
     ],
 )
