@@ -54,12 +54,19 @@ def test_modes_against_a_public_package(record_property) -> None:  # type: ignor
     structure = nine_modes()
     omega = 2 * np.pi * structure.frequency
     draws = [structure.noisy(0.01, seed) for seed in range(3)]
-    ours = np.mean([relative_errors(own(omega, matrix).poles) for matrix in draws], axis=0)
-    theirs = np.mean([relative_errors(peer_poles(structure.frequency, matrix)) for matrix in draws], axis=0)
-    worst = float(np.max(ours / theirs))
-    ratio = cpu_time(lambda: own(omega, draws[0]), 2) / cpu_time(
-        lambda: peer_poles(structure.frequency, draws[0]), 2
-    )
+    ours, theirs = [], []
+    times = [
+        (
+            cpu_time(lambda m=matrix: ours.append(own(omega, m).poles), 1),
+            cpu_time(lambda m=matrix: theirs.append(peer_poles(structure.frequency, m)), 1),
+        )
+        for matrix in draws
+    ]
+    errors = [np.mean([relative_errors(poles) for poles in found], axis=0) for found in (ours, theirs)]
+    worst = float(np.max(errors[0] / errors[1]))
+    # The quickest draw of each: the first of the package loads it.
+    mine, others = np.min(times, axis=0)
+    ratio = mine / others
     record_property("modal_error_over_peer_worst_mode", round(worst, 3))
     record_property("modal_time_over_peer", round(ratio, 2))
     assert worst < 0.5
