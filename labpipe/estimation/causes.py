@@ -27,7 +27,7 @@ from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_matrices
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.regression import inverse_of
+from labpipe.estimation.regression import equation_solution, inverse_of, regression
 from labpipe.estimation.residual import line_scatter
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of, steps_by
 from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened, whitener
@@ -227,7 +227,7 @@ def _amount(value: float, si_unit: str, std_error: float | None = None) -> str:
 MOST_PERIODS, DELAY_STEP = 5.0, 0.1
 # Share of the excess chi-square that a delay explains where it is what is wrong.
 BY_DELAY = 0.9
-# Channels, by the least chi-square of their grids, whose delay is fitted.
+# Channels, or places of one, by the least chi-square of their grids, whose delay is fitted.
 LIKELIEST = 2
 # Phase [rad] at the highest line, and standard errors, from which a delay is named.
 LEAST_PHASE, SURE_DELAY = 0.01, 5.0
@@ -268,12 +268,16 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
         return {}
     channels = _late_channels(measured)
     try:
-        grids = [(*_best_of_grid(measured, model, values, late), name) for name, late in channels]
+        grids = [
+            (*start, name)
+            for name, late in channels
+            for start in _best_of_grid(measured, model, values, late)
+        ]
     except (FitError, np.linalg.LinAlgError):
         return {}
     grids.sort(key=lambda grid: grid[0])
-    tried = {grid[-1]: _delay(measured, model, *grid[1:]) for grid in grids[:LIKELIEST]}
-    explained = [(fitted, name) for name, fitted in tried.items() if fitted is not None]
+    tried = [(_delay(measured, model, values, *grid[1:]), grid[-1]) for grid in grids[:LIKELIEST]]
+    explained = [(fitted, name) for fitted, name in tried if fitted is not None]
     if not explained:
         return {}
     (_, finding), name = min(explained, key=lambda entry: entry[0][0])
@@ -282,20 +286,32 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
 
 def _best_of_grid(
     measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray
-) -> tuple[float, OutputError[DelayedModel], FloatArray]:
-    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and its place."""
+) -> list[tuple[float, OutputError[DelayedModel], FloatArray]]:
+    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and its place.
+
+    Of one FRF beside those of least squares with each delay as well, and a second place a quarter of a period
+    and more away: half a period off, a mode has the same course with the other signs.
+    """
     omega = measured.omega
     delayed = DelayedModel(expected(measured, model), late)
     problem = OutputError(measured, delayed, fit_weights(measured))
-    # H without a delay is the same all over the grid.
-    still = delayed.model.receptance(values, omega)
 
-    def chi2(delay: float) -> float:
-        residual = problem.whitened(measured.matrix - still * delayed.turned(delay, omega))
+    def chi2(receptance: ComplexArray) -> float:
+        residual = problem.whitened(measured.matrix - receptance)
         return float(residual @ residual)
 
-    least, delay = min((chi2(delay), float(delay)) for delay in delays_of_grid(float(omega[-1])))
-    return least, problem, np.append(values, delay)
+    # H without a delay is the same all over the grid.
+    still = delayed.model.receptance(values, omega)
+    delays = [float(delay) for delay in delays_of_grid(float(omega[-1]))]
+    places = [(chi2(still * delayed.turned(delay, omega)), np.append(values, delay)) for delay in delays]
+    for delay in delays if late.size == 1 else ():
+        back = replace(measured, matrix=measured.matrix / delayed.turned(delay, omega))
+        place = np.append(equation_solution(regression(back, model, "none"), model)[0], delay)
+        places.append((chi2(delayed.receptance(place, omega)), place))
+    places.sort(key=lambda entry: entry[0])
+    apart = np.array([abs(place[-1] - places[0][1][-1]) * omega[-1] for _, place in places])
+    starts = [0] if late.size > 1 else [0, int(np.argmax(apart > np.pi / 2))]
+    return [(places[n][0], problem, places[n][1]) for n in starts]
 
 
 def delays_of_grid(highest: float) -> FloatArray:
@@ -321,7 +337,12 @@ def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
 
 
 def _delay(
-    measured: Measured, model: DynamicModel, problem: OutputError[DelayedModel], start: FloatArray, name: str
+    measured: Measured,
+    model: DynamicModel,
+    values: FloatArray,
+    problem: OutputError[DelayedModel],
+    start: FloatArray,
+    name: str,
 ) -> tuple[float, Finding] | None:
     """chi-square with the delay of a channel, and the finding; None if it explains too little."""
     highest = float(measured.omega[-1])
@@ -334,7 +355,7 @@ def _delay(
         of_noise = dof * weight_uncertainty(measured, dof).excess
     except (FitError, np.linalg.LinAlgError):
         return None
-    beyond = problem.chi2(np.append(start[:-1], 0.0)) - of_noise
+    beyond = problem.chi2(np.append(values, 0.0)) - of_noise
     delay, scale = float(minimum.values[-1]), np.sqrt(max(linear.chi2 / of_noise, 1.0))
     error = float(np.sqrt(inverse[-1, -1])) * scale
     if linear.chi2 - of_noise > (1 - BY_DELAY) * beyond or not is_late(delay, error, highest):

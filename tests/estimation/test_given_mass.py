@@ -156,6 +156,23 @@ def test_a_delay_that_explains_the_residual_is_the_cause_that_is_named(sdof_resp
     assert f"; most likely a delay of {name}. " in mismatch.message
 
 
+@pytest.mark.parametrize("delay", [6e-3, -9e-3])
+def test_a_delay_of_more_than_a_quarter_period_is_found(sdof_response, delay: float) -> None:
+    """Between 60 and 70 Hz the fit without the delay has the signs of a delay half a period off, which was
+    named, with negative stiffness.
+    """
+    response = sdof_response(2e-8, np.random.default_rng(1))
+    late = response.matrix * np.exp(-2j * np.pi * response.frequency * delay)[:, None, None]
+    (plain,) = identify(response, FitSettings("sdof"))
+    (fit,) = identify(replace(response, matrix=late), FitSettings("sdof"))
+    (finding,) = findings(fit, "delay")
+    side, value, error = re.search(r" is (\w+) by ([\d.]+) \+- ([\d.]+) ms: ", finding.message).groups()
+    assert side == ("late" if delay > 0 else "early")
+    assert abs(float(value) - 1e3 * abs(delay)) < 4 * float(error) < 0.2
+    stiffness, error = re.search(r"k = ([\d.]+) \+- ([\d.]+) kN/m", finding.message).groups()
+    assert abs(1e3 * float(stiffness) - plain.parameter("k").value) < 4e3 * float(error)
+
+
 def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
     """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a
     contradiction too.
