@@ -200,6 +200,7 @@ def _columns(path: Path) -> dict[str, tuple[FloatArray, str]]:
 
 
 def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
+    """Every amount under the name of its comparison."""
     for comparison in comparisons:
         codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
         for amount in comparison.amounts:
@@ -226,6 +227,7 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
 
 
 def statement_lines(records: Comparisons | ConditionMatrices) -> Iterator[str]:
+    """The statement of every one."""
     return (f"{record.name}: {record.statement}" for record in records)
 
 

@@ -34,6 +34,7 @@ ATTEMPTS = 3
 
 
 def serially(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
+    """One after the other in this process."""
     return map(work, jobs)
 
 
@@ -167,6 +168,7 @@ def batch_size(n_job: int, n_worker: int) -> int:
 
 
 def work_on(work: Work, batch: Sequence[Job]) -> list[Done]:
+    """The outcomes of a batch, on a worker."""
     return [work(job) for job in batch]
 
 

@@ -86,10 +86,12 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
 
 
 def write_uff58b(artefact: Path, target: Path) -> None:
+    """`write_uff` with binary numbers."""
     write_uff(artefact, target, binary=True)
 
 
 def write_mat(artefact: Path, target: Path) -> None:
+    """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
     _refuse_tables(artefact, "a MATLAB file")
@@ -100,6 +102,7 @@ def write_mat(artefact: Path, target: Path) -> None:
 
 
 def write_shapes(artefact: Path, target: Path) -> None:
+    """The mode shapes of a result as a table: one row per mode and point."""
     write_table_csv(shape_table(modal_fits(artefact)), target)
 
 
@@ -221,10 +224,12 @@ NOISE = "noise"
 
 
 def write_covariance_csv(artefact: Path, target: Path) -> None:
+    """`covariance_table` as CSV."""
     write_table_csv(covariance_table(artefact), target)
 
 
 def write_covariance_parquet(artefact: Path, target: Path) -> None:
+    """`covariance_table` as Parquet."""
     covariance_table(artefact).to_parquet(target, index=False)
 
 

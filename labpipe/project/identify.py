@@ -135,5 +135,6 @@ def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:
+    """The rig as the report shows it."""
     rig = pipeline.first_rig
     return {} if rig is None else json.loads(json.dumps(dataclasses.asdict(rig)))

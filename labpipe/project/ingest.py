@@ -80,6 +80,7 @@ def ingest(
 
 
 def changed_while_read(path: Path) -> DataError:
+    """The fault of a file that was written to meanwhile."""
     return DataError("changed while it was read", path, "run again when it is complete")
 
 
@@ -144,6 +145,7 @@ def check_table(table: Table, rig: Rig) -> list[str]:
 
 
 def channel_screen(rig: Rig) -> ChannelScreen:
+    """The search for faults of a rig's measured channels."""
     names = [channel.channel.name for channel in rig.channels]
     return ChannelScreen(names, list(map(_si_limits, rig.channels)))
 
@@ -302,6 +304,7 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
 def ingest_all(
     sources: Iterable[Path], rig: Rig, output: OutputFolder, base: Path
 ) -> list[recording_file.StoredRecording]:
+    """`ingest` for many files of one rig."""
     paths = list(sources)
     named = zip(paths, unique_names(paths), strict=True)
     return [ingest(path, rig, output, name, base) for path, name in named]

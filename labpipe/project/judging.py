@@ -120,6 +120,7 @@ def judge(
 
 
 def unfounded(rule: Rule) -> RuleOutcome:
+    """The failed outcome of a rule that addresses what an incomplete result does not have."""
     return rule.outcome(None, False)
 
 

@@ -98,6 +98,7 @@ class Gathered:
 
 
 def outcome_of(done: Done, test: Test) -> TestResult:
+    """The result of a test that ended, or why it has none."""
     if done.failed is not None:
         return failed_result(test, done.failed.message)
     assert done.result is not None

@@ -33,6 +33,7 @@ def write_matrix_csv(artefact: Path, target: Path) -> None:
 
 
 def write_matrix_parquet(artefact: Path, target: Path) -> None:
+    """The matrix as Parquet, as `write_matrix_csv` writes it."""
     matrix_table(_matrices(artefact)[1]).to_parquet(target, index=False)
 
 
@@ -93,6 +94,7 @@ def write_rotor_csv(artefact: Path, target: Path) -> None:
 def rotor_sheets(
     identification: Identification, matrices: tuple[ConditionMatrix, ...]
 ) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Name and table of every sheet."""
     number = 0
     for matrix in matrices:
         units = [condition_unit(axis.name, axis.unit) for axis in matrix.axes]

@@ -103,6 +103,7 @@ def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
 
 
 def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
+    """The raw files behind recordings, for messages."""
     return ", ".join(
         recording.header.inputs[0].path
         if isinstance(recording, StoredRecording) and recording.header.inputs
@@ -158,6 +159,7 @@ def _kind_of_file(path: Path) -> _Kind | None:
 
 
 def measured_file_name(test: str, settings: FrfSettings | None) -> str:
+    """The file name of a test's response, free decays or spectra."""
     return file_stem(test) + KINDS[RESPONSES if settings is None else settings.gives].suffix
 
 
@@ -172,6 +174,7 @@ def files_of_test(test: str) -> list[str]:
 
 
 def measured_files(folder: Path, test: str) -> list[Path]:
+    """What a folder of results holds of a test: its response, free decays or spectra."""
     return [path for name in files_of_test(test)[1:] if (path := folder / name).is_file()]
 
 

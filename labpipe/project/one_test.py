@@ -127,6 +127,7 @@ def result_of_test(
 
 
 def failed_result(test: Test, message: str) -> TestResult:
+    """The result of a test that could not be evaluated, and why."""
     row = DatasetRow(**identity(test, test.conditions), failed=message)  # type: ignore[arg-type]
     return TestResult(rows=(row,))
 
@@ -151,6 +152,7 @@ def day_of(test: Test, conditions: Mapping[str, str]) -> str:
 
 
 def files_of(test: Test) -> list[Path]:
+    """The files that a test was recorded in, or its ready responses."""
     recorded = [path for source in test.recordings for path in source.paths]
     return [*recorded, *(path for ready in test.frfs for path in ready.paths)]
 
@@ -398,6 +400,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
+    """What was measured of the test, and its ready responses."""
     measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
     test = job.test
     return [*measured, *(load_ready_measured(ready, test.name, test.conditions) for ready in test.frfs)]

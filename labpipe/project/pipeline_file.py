@@ -328,6 +328,7 @@ class Pipeline:
 
 
 def section_names() -> tuple[str, ...]:
+    """Every key that a pipeline file may have."""
     return (*BEFORE, *SECTIONS.names(), *AFTER)
 
 

@@ -189,6 +189,7 @@ OWN_SECTIONS: dict[type, tuple[Callable[[], list[Any]], Callable[[str], str]]] =
 
 
 def object_schema(owner: type) -> dict[str, Any]:
+    """The schema of a mapping that is read into settings."""
     settings = settings_of(owner)
     properties = {
         name: {

@@ -103,6 +103,7 @@ def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> st
 
 
 def join(*keys: str) -> str:
+    """The dotted key of an entry."""
     return ".".join(key for key in keys if key)
 
 

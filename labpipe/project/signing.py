@@ -103,6 +103,7 @@ def _check_valid(certificate: Any, where: str) -> None:
 
 
 def person(certificate: Any) -> str:
+    """Whose certificate it is, in words."""
     names = certificate.subject.native
     return cut(str(names.get("common_name") or certificate.subject.human_friendly))
 

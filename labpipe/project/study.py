@@ -35,6 +35,7 @@ EXPLAINED = (
 
 
 def study_sections(studies: Studies, _identification: Identification) -> tuple[Section, ...]:
+    """One section for every Monte Carlo study."""
     return tuple(Section(f"Study: {study.rig}", study_blocks(study)) for study in studies)
 
 
@@ -223,6 +224,7 @@ def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
 
 
 def study_lines(studies: Studies) -> Iterator[str]:
+    """One line for every fit at every noise level, then the thresholds."""
     return (line for study in studies for line in _study_lines(study))
 
 

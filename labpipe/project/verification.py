@@ -127,6 +127,7 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
 
 
 def artefacts_below(folder: Path) -> list[Path]:
+    """The files below a folder that have an artefact's name, in order."""
     return [
         path for path in without_staging(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()
     ]

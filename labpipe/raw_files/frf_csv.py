@@ -112,6 +112,7 @@ def cube(outputs: Sequence[Any], inputs: Sequence[Any], values: Callable[[Any, A
 
 
 def write_frf_csv(path: Path, response: FrequencyResponse) -> None:
+    """Write the response as `read_frf_csv` reads it."""
     slashed = next((port.label for port in response.outputs if "/" in port.label), None)
     if slashed is not None:
         what = f"'{slashed}' cannot be a response in a table, where o/i is response per force"

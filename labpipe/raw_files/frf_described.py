@@ -42,6 +42,7 @@ def complex_of(field: str, decimal: str) -> complex:
 
 
 def is_complex(field: str, decimal: str) -> bool:
+    """True if a field is one number, real or complex, with this decimal sign."""
     try:
         complex_of(field, decimal)
     except ValueError:

@@ -43,6 +43,7 @@ def check_hdf5(path: Path) -> None:
 
 
 def touch(path: Path) -> None:
+    """Read all attributes and datasets of a file."""
     with h5py.File(path, "r") as file:
         dict(file.attrs.items())
         file.visititems(_touch)
@@ -82,6 +83,7 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
 
 
 def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
+    """True if a readable HDF5 file holds data sets of all these names."""
     check_hdf5(path)
     try:
         with h5py.File(path, "r") as file:
@@ -187,6 +189,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def is_hdf5(path: Path) -> bool:
+    """True for HDF5, as written by MATLAB 7.3 after a block of 512 bytes."""
     with path.open("rb") as stream:
         head = stream.read(520)
     return head.startswith(_HDF5) or head[512:] == _HDF5
@@ -304,6 +307,7 @@ def lines_of(value: Any) -> list[str]:
 
 
 def text_of(value: Any) -> str:
+    """A char variable as text, '' for anything else."""
     array = np.asarray(value)
     return str(array.flat[0]) if array.dtype.kind == "U" and array.size == 1 else ""
 
@@ -419,6 +423,7 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 
 def holds_response(path: Path) -> bool:
+    """True if a readable MATLAB or HDF5 file holds a response."""
     if is_hdf5(path):
         return has_hdf5_variables(path, _MARKS)
     return set(_MARKS) <= load_variables(path).keys()

@@ -71,6 +71,7 @@ DAMAGED = "the file is damaged, or not what its ending says"
 
 
 def guard(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+    """What *read* makes of a file."""
     with readable(path):
         return read(path, *arguments)
 
@@ -235,6 +236,7 @@ class QuickTable(Table, Protocol):
 
 
 def as_quick(table: Table) -> QuickTable | None:
+    """The table where it is a quick one; None for any other."""
     return cast(QuickTable, table) if getattr(table, "n_row", None) is not None else None
 
 

@@ -35,6 +35,7 @@ def plain_suffix(path: Path) -> str:
 
 
 def open_unpacked(path: Path) -> BinaryIO:
+    """The bytes of a file, decompressed according to its suffix."""
     if path.suffix.lower() in PACKED:
         compression = "gzip" if path.suffix.lower() == ".gz" else "zstd"
         stream: BinaryIO = pa.input_stream(str(path), compression=compression)
@@ -73,6 +74,7 @@ def check_filled(path: Path) -> None:
 
 
 def damaged(path: Path, error: Exception) -> DataError:
+    """The error of a compressed file that cannot be decompressed."""
     what = f"cannot be unpacked ({str(error).splitlines()[0][:80]})"
     return DataError(what, path, "the file is damaged or cut off")
 
@@ -194,6 +196,7 @@ def is_cell(field: str, decimal: str) -> bool:
 
 
 def is_number(field: str, decimal: str) -> bool:
+    """True if a field is one number with this decimal sign."""
     if "_" in field or (decimal == "," and "." in field):
         return False
     text = field.strip().strip('"')
@@ -205,6 +208,7 @@ def is_number(field: str, decimal: str) -> bool:
 
 
 def is_missing(field: str) -> bool:
+    """True if a field is a known mark for a missing number."""
     return field.strip().strip('"') in MISSING
 
 

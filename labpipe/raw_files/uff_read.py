@@ -282,6 +282,7 @@ def readable_unit(label: str, kind: int) -> str:
 
 
 def axis_unit(axis: uff.UffAxis) -> str:
+    """The unit of an axis by its label, '' for none or an unknown one."""
     return readable_unit(axis.unit, axis.kind) if axis.unit else ""
 
 

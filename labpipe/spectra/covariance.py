@@ -154,11 +154,11 @@ def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
     # Of single lines a quotient of two estimates would be too large on average.
     pooled = neighbourhood_mean(residual.sum(axis=2, keepdims=True) / dof.sum(), every, SMOOTH)
     ratio = np.divide(residual, pooled, out=np.ones_like(residual), where=pooled > 0)
-    known = dof > 0
-    level = ratio.mean(axis=0) / np.where(known, dof, 1.0)
-    error = np.sqrt((1 / np.where(known, dof, 1.0) + 1 / dof.sum()) / residual.shape[0])
+    is_driven = dof > 0
+    level = ratio.mean(axis=0) / np.where(is_driven, dof, 1.0)
+    error = np.sqrt((1 / np.where(is_driven, dof, 1.0) + 1 / dof.sum()) / residual.shape[0])
     alike = np.abs(level - 1) < np.maximum(SAME_SHARE, SAME_ERRORS * error)
-    return np.where(alike | ~known, 1.0, np.maximum(level, 0.0))
+    return np.where(alike | ~is_driven, 1.0, np.maximum(level, 0.0))
 
 
 def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: FloatArray) -> ComplexArray:

@@ -347,7 +347,7 @@ class _HitAverage:
         # Two samples in every tenth, to see whether the response dies away.
         self.n_sample = block_samples(source, settings.block, 20)
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
-        # The window of the blocks in the end, whoever applied it.
+        # That under which the blocks stand: of `decay`, or applied by the analyser.
         self._exponential: FloatArray = np.ones(self.n_sample)
         if settings.damping_window is not None:
             self._exponential = exponential_window(

@@ -326,8 +326,8 @@ def _levels(
         return np.ones((response.shape[1], 1))
     left = [np.einsum("loo->lo", residual_spectrum(part, response)).real for part in parts]
     # A recording with most of the power of a force leaves little beside the common H.
-    own = (np.einsum("lij,lji->l", inverse_force, part[:, :n_input, :n_input]).real for part in parts)
-    taken = [float(np.mean(share)) for share in own]
+    shares = (np.einsum("lij,lji->l", inverse_force, part[:, :n_input, :n_input]).real for part in parts)
+    taken = [float(np.mean(share)) for share in shares]
     return noise_levels(np.stack(left, axis=2), np.array(averages) - taken)
 
 
@@ -419,7 +419,7 @@ def parts_of_single_forces(
     around, and raised or lowered where a force's own recordings have another level. DataError for a force
     without power.
     """
-    power, s_yu, s_yy, own = _sum(spectra, chosen, layout)
+    power, s_yu, s_yy, by_force = _sum(spectra, chosen, layout)
     quality.check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
@@ -429,7 +429,7 @@ def parts_of_single_forces(
         covariance = _covariance(
             pooled_residual(residual, response, half_width),
             power * (averages - n_input),
-            noise_levels(own - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout) - 1),
+            noise_levels(by_force - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout) - 1),
         )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
@@ -448,7 +448,7 @@ def _sum(
     n_line, n_input, n_output = int(np.count_nonzero(chosen)), len(layout.inputs), len(layout.outputs)
     power = np.zeros((n_line, n_input))
     s_yu, s_yy = (np.zeros((n_line, n_output, n), np.complex128) for n in (n_input, n_output))
-    own = np.zeros((n_line, n_output, n_input))
+    by_force = np.zeros((n_line, n_output, n_input))
     n_block = sum(spectrum.n_block for spectrum in spectra)
     for spectrum, inputs, outputs in zip(spectra, layout.input_columns, layout.output_columns, strict=True):
         ((force, column),) = [(number, column) for number, column in enumerate(inputs) if column >= 0]
@@ -456,8 +456,8 @@ def _sum(
         power[:, force] += share * matrix[:, column, column].real
         s_yu[:, :, force] += share * matrix[:, rows, column]
         s_yy += share * matrix[:, rows][:, :, rows]
-        own[:, :, force] += share * matrix[:, rows, rows].real
-    return power, s_yu, s_yy, own
+        by_force[:, :, force] += share * matrix[:, rows, rows].real
+    return power, s_yu, s_yy, by_force
 
 
 def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:

@@ -252,19 +252,19 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
     """The certificate of a closed loop, or of the decrements of a fit."""
     if settings.fit:
         return decrement_certificate(settings, [fit for fit in evidence.fits if fit.name == settings.fit])
-    own = resolve(settings)
+    chosen = resolve(settings)
     tests: list[FrequencyResponse | ChannelSpectra] = [*evidence.responses, *evidence.spectra]
     names = ", ".join(test.name for test in tests if test.name) or f"{len(tests)} without names"
-    if own.test:
-        tests = [test for test in tests if test.name == own.test]
+    if chosen.test:
+        tests = [test for test in tests if test.name == chosen.test]
     if len(tests) != 1:
-        wanted = f"no test '{own.test}'" if own.test else "one test is needed"
+        wanted = f"no test '{chosen.test}'" if chosen.test else "one test is needed"
         hint = "one comparison per test, certificate: {test: NAME}"
         raise ConfigError(f"a certificate is that of one loop: {wanted} among {names}", hint=hint)
     response = tests[0] if isinstance(tests[0], FrequencyResponse) else per_injection(tests[0])
     comparison = certificate(settings, response, _file_of(settings, evidence))
-    outputs = [port for port in response.outputs if port.label in own.recorded]
-    return _with_directions_left_out(comparison, [*outputs, *(() if own.before else response.inputs)])
+    outputs = [port for port in response.outputs if port.label in chosen.recorded]
+    return _with_directions_left_out(comparison, [*outputs, *(() if chosen.before else response.inputs)])
 
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:

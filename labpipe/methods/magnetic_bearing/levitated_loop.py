@@ -275,26 +275,26 @@ def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
     """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
     y.
     """
-    own = -rig.negative_stiffness * np.eye(len(rig.labels))
+    direct = -rig.negative_stiffness * np.eye(len(rig.labels))
     if rig.axes == "x":
-        return own
+        return direct
     coupling = np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness
-    return np.asarray(own + np.kron(np.eye(len(own) // 2), coupling))
+    return np.asarray(direct + np.kron(np.eye(len(direct) // 2), coupling))
 
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
     """S (-w^2 M + j w C + K + B' k_s B)^-1 B', (n_line, n_axis, n_axis) [m/N] at *frequency* (n_line,) [Hz]:
     reading per force k_i i. Equation (sim-rotor).
     """
-    of = mechanics(rig)
+    rotor = mechanics(rig)
     jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
     dynamic = (
-        jw**2 * of.mass
-        + jw * of.damping
-        + of.stiffness
-        + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
+        jw**2 * rotor.mass
+        + jw * rotor.damping
+        + rotor.stiffness
+        + rotor.at_bearings.T @ bearing_stiffness(rig) @ rotor.at_bearings
     )
-    return np.asarray(of.at_sensors @ np.linalg.inv(dynamic) @ of.at_bearings.T)
+    return np.asarray(rotor.at_sensors @ np.linalg.inv(dynamic) @ rotor.at_bearings.T)
 
 
 @dataclass(frozen=True)

@@ -281,8 +281,9 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     if alone:
         repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     if repeated is None:
-        of = decays.decays, columns, pieces, decays.sample_rate, settings.band
-        joined = likelihood.most_likely(*of, decay_settings.modes)
+        joined = likelihood.most_likely(
+            decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes
+        )
     else:
         joined, places = repeated.joined, repeated.places
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
@@ -371,9 +372,10 @@ def _missing(
     n_mode, decays = fitted.fit.poles.size, fitted.decays
     if not laws or n_mode == MOST_MODES:
         return None
-    of = decays.decays, fitted.columns, fitted.pieces, decays.sample_rate, band
     try:
-        richer = likelihood.most_likely(*of, n_mode + 1)
+        richer = likelihood.most_likely(
+            decays.decays, fitted.columns, fitted.pieces, decays.sample_rate, band, n_mode + 1
+        )
     except FitError:
         return None
     white = likelihood.judge(fitted.pieces, richer, decays.sample_rate).white >= MISMATCH_P

@@ -370,5 +370,5 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
 
     at = Contacts(**joined([part.contacts for part in parts], (field.name for field in fields(Contacts))))
     check_carried(parts[0].bearing, at)
-    own = joined(parts, ("displacement", "load", "stiffness", "angles"))
-    return replace(parts[0], contacts=at, **own)
+    arrays = joined(parts, ("displacement", "load", "stiffness", "angles"))
+    return replace(parts[0], contacts=at, **arrays)

@@ -154,10 +154,10 @@ def _solve(
 
 
 def _coefficient(fit: Fit, name: str) -> Parameter:
-    found = next((parameter for parameter in fit.parameters if parameter.name == name), None)
-    if found is None:
+    coefficient = next((parameter for parameter in fit.parameters if parameter.name == name), None)
+    if coefficient is None:
         raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
-    return found
+    return coefficient
 
 
 def _logarithms(fit: Fit) -> FloatArray:
@@ -436,11 +436,11 @@ def _bending_error(settings: CompareSettings) -> float:
 
 
 def _match(campaign: Campaign, evidence: Evidence) -> Solved:
-    named = campaign.settings.theory
+    settings = campaign.settings
+    named = settings.theory
     assert named is not None
     theory = evidence.theory or theory_of(evidence.folder, named)
-    of = campaign.settings
-    key = (of.fit, of.term, of.over, of.group, named)
+    key = (settings.fit, settings.term, settings.over, settings.group, named)
     if key not in evidence.solved:
         evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)
     return evidence.solved[key]

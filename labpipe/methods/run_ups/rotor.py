@@ -331,9 +331,9 @@ class RunUpRotor:
             stiffness = np.stack([point.stiffness for point in points])
             damping = np.stack([point.damping for point in points])
             return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
-        found = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        film = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
-        return found.stiffness * scale, found.damping * scale / speed[..., None, None]
+        return film.stiffness * scale, film.damping * scale / speed[..., None, None]
 
     def start(self, load: float) -> CoefficientsAtSpeed:
         """`start_coefficients` as a function of speed."""

@@ -303,8 +303,8 @@ def _intervals(solved: _Solved) -> dict[str, search.Interval]:
     intervals = {}
     for number, name in enumerate(model.names):
         if name in (DEPTH, ANGLE):
-            one = float(noise[number])
-            interval = search.profile_interval(solved.misfit, solved.best, number, one, limit)
+            error = float(noise[number])
+            interval = search.profile_interval(solved.misfit, solved.best, number, error, limit)
             bounds = model.low[number], model.high[number]
             intervals[name] = search.widen(interval, parameters[number], reach[number], *bounds)
     return intervals

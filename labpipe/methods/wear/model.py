@@ -258,8 +258,8 @@ def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray
                         left, right = _turn(replace(response, **{side: moved}), frame)
                         ends.append(left @ matrix @ right)
                     slope = (ends[0] - ends[1]) / (2 * SMALL_ANGLE)
-                    known = calibration.uncertainty
-                    errors.append(MatrixError(known, known.std_error * slope))
+                    angle = calibration.uncertainty
+                    errors.append(MatrixError(angle, angle.std_error * slope))
     return errors
 
 

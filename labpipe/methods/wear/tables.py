@@ -129,8 +129,9 @@ class Ranges:
 
 def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
-    of = table.coefficients(bearing, speed)
-    return np.stack([of.stiffness, of.damping]), np.stack([of.stiffness_slopes, of.damping_slopes])
+    film = table.coefficients(bearing, speed)
+    slopes = np.stack([film.stiffness_slopes, film.damping_slopes])
+    return np.stack([film.stiffness, film.damping]), slopes
 
 
 def _point(bearing: JournalBearing) -> FloatArray:
