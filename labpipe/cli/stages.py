@@ -7,29 +7,21 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.many import Progress, echo_failed, manner, silent
 from labpipe.cli.output import echo, echo_findings
 from labpipe.cli.terminal import echo_identification
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError
 from labpipe.project.exports import write_study_csv
 from labpipe.project.identify import identify_stage
 from labpipe.project.ingest import ingest_all
-from labpipe.project.measured import (
-    DESCRIPTION,
-    MeasuredTest,
-    load_measured,
-    load_ready_measured,
-    measured_file_name,
-    ready_refs,
-)
-from labpipe.project.one_test import check_made_as_stated
+from labpipe.project.measured import MeasuredTest, load_measured
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import load_rig
-from labpipe.project.run import Manner, identify_many, measure_tests
+from labpipe.project.run import Manner, identify_measured, measure_tests
 from labpipe.project.tests import SourceFile, Test
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
@@ -146,11 +138,14 @@ def identify(
     very many tests the results are kept as a dataset, as `labpipe run` does.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
-    options.teller(quiet, verbose)(f"identify  {pipeline.title}")
+    tell = options.teller(quiet, verbose)
     with options.results_folder(output) as folder:
-        how = Manner(progress=silent if quiet else Progress(verbose))
-        many = None if frfs else identify_many(pipeline, folder, how)
-        identification = many or _identify(pipeline, frfs, folder)
+        if frfs:
+            tell(f"identify  {pipeline.title}")
+            identification = _identify(pipeline, frfs, folder)
+        else:
+            how = Manner(tell=tell, progress=silent if quiet else Progress(verbose))
+            identification = identify_measured(pipeline, folder, how)
         outdate_reports(folder, ())
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
@@ -158,36 +153,13 @@ def identify(
 
 
 def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
-    if frfs:
-        tests = [load_measured(path) for path in frfs]
-        if len({test.name for test in tests}) < len(tests):
-            hint = "list them as `frfs:` of tests with names in the pipeline"
-            raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
-        inputs = [source_ref(path, path.parent) for path in frfs]
-    else:
-        tests, inputs = _of_pipeline(pipeline, folder)
-    files = [reference for reference in inputs if reference.path != DESCRIPTION]
-    sources = [*files, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
+    tests = [load_measured(path) for path in frfs]
+    if len({test.name for test in tests}) < len(tests):
+        hint = "list them as `frfs:` of tests with names in the pipeline"
+        raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
+    inputs = [source_ref(path, path.parent) for path in frfs]
+    sources = [*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files)]
     return identify_stage(pipeline, tests, sources, folder, inputs=inputs)
-
-
-def _of_pipeline(pipeline: Pipeline, folder: OutputFolder) -> tuple[list[MeasuredTest], list[SourceRef]]:
-    tests: list[MeasuredTest] = []
-    references: list[SourceRef] = []
-    for test in pipeline.tests:
-        for ready in test.frfs:
-            tests.append(load_ready_measured(ready, test.name, test.conditions))
-            references.extend(ready_refs(ready))
-        settings = test.frf or pipeline.frf
-        measured_path = folder.read_path(measured_file_name(test.name, settings))
-        if test.recordings and not measured_path.exists():
-            hint = "run `labpipe frf` first, or `labpipe run` for all stages"
-            raise DataError("no such file", measured_path, hint)
-        if test.recordings:
-            check_made_as_stated(measured_path, test, settings)
-            tests.append(load_measured(measured_path))
-            references.append(source_ref(measured_path, measured_path.parent))
-    return tests, references
 
 
 @click.command()

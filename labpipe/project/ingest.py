@@ -5,12 +5,14 @@ that is read as fast as that copy, and by single columns, is measured as it is r
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +51,34 @@ def is_recording(path: Path) -> bool:
     )
 
 
+# What of a rig file makes a recording what it is.
+MEASURES = ("sample_rate", "time", "resample", "channels", "derived")
+
+
+def check_made_with(
+    part: str, made: Mapping[str, Any], now: Mapping[str, Any], path: Path, again: str
+) -> None:
+    """DataError where a file was made with other entries of a *part* of the settings than it has *now*."""
+    # Entries that an earlier version did not have are as they are now.
+    entries = json.loads(json.dumps(now, default=vars))
+    if other := [key for key, entry in entries.items() if key in made and not _agree(made[key], entry)]:
+        what = f"was made with another `{part}:` than the pipeline has now ({', '.join(other)})"
+        raise DataError(what, path, again)
+
+
+def _agree(made: Any, now: Any) -> bool:
+    if isinstance(made, dict) and isinstance(now, dict):
+        return all(_agree(made[key], entry) for key, entry in now.items() if key in made)
+    if isinstance(made, list) and isinstance(now, list) and len(made) == len(now):
+        return all(map(_agree, made, now))
+    return bool(made == now)
+
+
+def check_rig(made: Mapping[str, Any], rig: Rig, path: Path, again: str) -> None:
+    """DataError where a file was measured with another *rig*, of which *made* are the entries then."""
+    check_made_with("rig", made, {name: getattr(rig, name) for name in MEASURES}, path, again)
+
+
 def ingest(
     source: Path,
     rig: Rig,
@@ -64,7 +94,9 @@ def ingest(
     used.
     """
     if is_recording(source) and not joined:
-        return recording_file.open_recording(source)
+        recording = recording_file.open_recording(source)
+        check_rig(recording.header.parameters, rig, source, "run `labpipe ingest` again, or name its rig")
+        return recording
     table = _join([source, *joined], rig, by) if joined else _open(source, rig)
     parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
     inputs = tuple(source_ref(path, base) for path in (source, *joined))

@@ -8,7 +8,6 @@ import dataclasses
 import datetime
 import errno
 import hashlib
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -29,7 +28,14 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings
-from labpipe.project.ingest import ingest, is_recording, raw_recording, recording_refs
+from labpipe.project.ingest import (
+    check_made_with,
+    check_rig,
+    ingest,
+    is_recording,
+    raw_recording,
+    recording_refs,
+)
 from labpipe.project.judging import forbidden, judged_part
 from labpipe.project.measured import (
     CONDITIONS,
@@ -91,6 +97,7 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
 
 
 DATE = "date"
+AGAIN = "run `labpipe frf` again"
 
 
 def result_of_test(
@@ -275,7 +282,7 @@ def brought(job: Job) -> Iterator[Job]:
 
 def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
     with output_folder(job.target, job.scratch, remarks) as output:
-        sources = sources_before(job) if job.measured_before else measure(job, output)
+        sources = measure(job, output)
     if job.fits:
         with output_folder(job.target, job.scratch, remarks) as output:
             fit(job, output)
@@ -293,6 +300,8 @@ def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> Te
 
 def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[SourceRef, ...]:
     """ingest and frf of the test; the references of the raw files or ready responses behind it."""
+    if job.measured_before:
+        return sources_before(job)
     recorded = _measured_as_read(job, output, tell)
     if recorded is None:
         recorded = _measured_from_calibrated(job, output, tell)
@@ -368,35 +377,46 @@ def _seen_in_files(job: Job) -> list[Finding]:
     return []
 
 
-def check_made_as_stated(path: Path, test: Test, frf: FrfSettings | None) -> None:
-    """DataError where what was measured of a test has other settings or conditions than it has now."""
-    made = header_of(path).parameters
-    now = json.loads(json.dumps(dataclasses.asdict(frf))) if frf else {}
-    # A key of `frf:` that is not there has its default.
-    then = {"frf": {**now, **made.get("frf", {})}, "conditions": made.get("conditions", {})}
-    for part, entries in (("frf", now), ("conditions", test.conditions)):
-        if other := [key for key, value in entries.items() if then[part].get(key) != value]:
-            what = f"was made with another {', '.join(other)} of `{part}:` than the pipeline has"
-            raise DataError(what, path, "run `labpipe frf` again")
-
-
 def sources_before(job: Job) -> tuple[SourceRef, ...]:
     """The references of the raw files behind a response that is there, by its calibrated recordings, or else
-    its own.
+    its own. DataError where it was made with other settings, conditions, rigs or files than there are now.
     """
+    if not job.test.recordings:
+        return tuple(_ready_sources(job))
     path = job.target / job.measured_name
-    if job.test.recordings and not path.exists():
+    if not path.exists():
         raise DataError("no such file", path, "run `labpipe frf` first, or `labpipe run` for all stages")
-    if job.test.recordings:
-        check_made_as_stated(path, job.test, job.frf)
-    recordings = [job.target / f"recordings/{name}{RECORDING}" for name in job.names]
-    if job.test.recordings and RIGS in (header := header_of(path)).parameters:
-        recorded = list(header.inputs)
-    elif all(recording.exists() for recording in recordings):
-        recorded = [reference for recording in recordings for reference in header_of(recording).inputs]
+    header = header_of(path)
+    made = header.parameters
+    conditions = {**dict.fromkeys(job.test.conditions), **made.get("conditions", {})}
+    check_made_with("frf", made.get("frf", {}), dataclasses.asdict(job.frf) if job.frf else {}, path, AGAIN)
+    check_made_with("conditions", conditions, job.test.conditions, path, AGAIN)
+    if RIGS in made:
+        rigs, recorded = made[RIGS], list(header.inputs)
     else:
-        recorded = [source_ref(path, job.target)]
-    return (*recorded, *_ready_sources(job))
+        calibrated = [
+            source.path if is_recording(source.path) else job.target / f"recordings/{name}{RECORDING}"
+            for source, name in zip(job.test.recordings, job.names, strict=True)
+        ]
+        headers = [header_of(recording) for recording in calibrated if recording.exists()]
+        rigs = [one.parameters for one in headers]
+        recorded = [reference for one in headers for reference in one.inputs]
+    for source, rig in zip(job.test.recordings, rigs, strict=False):
+        check_rig(rig, source.rig, path, AGAIN)
+    for raw in files_of(job.test):
+        _check_unchanged(raw, path, recorded, job.folder)
+    return (*(recorded or [source_ref(path, job.target)]), *_ready_sources(job))
+
+
+def _check_unchanged(raw: Path, made: Path, recorded: Sequence[SourceRef], base: Path) -> None:
+    """DataError for a raw file that was written since and holds something else. One that is gone is not
+    asked for.
+    """
+    if is_remote(raw) or not raw.exists() or raw.stat().st_mtime <= made.stat().st_mtime:
+        return
+    now = source_ref(raw, base)
+    if any(reference.path == now.path and reference != now for reference in recorded):
+        raise DataError(f"was made before '{raw.name}' was changed", made, AGAIN)
 
 
 def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:

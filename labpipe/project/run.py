@@ -5,7 +5,7 @@ several tests one that fails is named and the others are finished.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.artefacts.header import SourceRef, source_ref
@@ -62,7 +62,18 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     if keeps_dataset(pipeline, independent):
         return _run_many(pipeline, output, manner, independent)
     output.remarks.extend(filter(None, [advice(pipeline, independent)]))
-    measured = measure_tests(pipeline, output, manner, independent)
+    return _run_few(pipeline, output, manner, independent)
+
+
+def _run_few(
+    pipeline: Pipeline,
+    output: OutputFolder,
+    manner: Manner,
+    fits: Sequence[str],
+    *,
+    measured_before: bool = False,
+) -> Identification:
+    measured = measure_tests(pipeline, output, manner, fits, measured_before=measured_before)
     manner.tell(f"identify  {pipeline.title}")
     return identify_stage(
         pipeline,
@@ -90,12 +101,13 @@ def run_only(pipeline: Pipeline, target: Path, test: str, manner: Manner) -> one
     return done
 
 
-def identify_many(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification | None:
-    """The fits of responses that are there, where so many tests are kept as a dataset; None for fewer."""
+def identify_measured(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
+    """The identification from responses that are there. DataError for one that is not, or that was made from
+    other settings, rigs or recordings.
+    """
     independent = independent_fits(pipeline)
-    if not keeps_dataset(pipeline, independent):
-        return None
-    return _run_many(pipeline, output, manner, independent, measured_before=True)
+    way = _run_many if keeps_dataset(pipeline, independent) else _run_few
+    return way(pipeline, output, manner, independent, measured_before=True)
 
 
 def _run_many(
@@ -107,8 +119,7 @@ def _run_many(
     measured_before: bool = False,
 ) -> Identification:
     with staging_folder(existing_home(output.target)) as scratch:
-        jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules)
-        jobs = [replace(job, measured_before=measured_before) for job in jobs]
+        jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules, measured_before)
         gathered = Gathered(jobs, output)
         for outcome in _outcomes(jobs, manner):
             gathered.add(outcome)
@@ -117,13 +128,19 @@ def _run_many(
 
 
 def measure_tests(
-    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
+    pipeline: Pipeline,
+    output: OutputFolder,
+    manner: Manner,
+    fits: Sequence[str] = (),
+    *,
+    measured_before: bool = False,
 ) -> Measured:
     """ingest and frf of every test, and of several tests the fits named in *fits*. Ready responses are read
     as they are.
     """
     with staging_folder(existing_home(output.target)) as scratch:
-        jobs = _jobs(pipeline, output.target, scratch, fits if len(pipeline.tests) >= MANY else ())
+        of_tests = fits if len(pipeline.tests) >= MANY else ()
+        jobs = _jobs(pipeline, output.target, scratch, of_tests, None, measured_before)
         if len(jobs) > 1:
             done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:
@@ -158,6 +175,7 @@ def _jobs(
     scratch: Path,
     fits: Sequence[str],
     rules: tuple[Rule, ...] | None = None,
+    measured_before: bool = False,
 ) -> list[one_test.Job]:
     file_stems([test.name for test in pipeline.tests], "tests", pipeline.path)
     test_names = [
@@ -182,6 +200,7 @@ def _jobs(
             target=target,
             scratch=scratch,
             rules=rules,
+            measured_before=measured_before,
         )
         for test in pipeline.tests
     ]

@@ -11,11 +11,14 @@ import shutil
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from labpipe.artefacts.header import commit
 from labpipe.cli.main import TABLE
@@ -389,8 +392,55 @@ def test_identify_refuses_responses_that_were_made_with_other_settings(tmp_path:
     stage = ("-c", PEDESTAL, "-o", tmp_path)
     assert labpipe("frf", *stage).code == 0
     ended = labpipe("identify", *stage, "--set", "frf.exclude=[64-66 Hz]")
-    assert ended.code == 2 and "was made with another exclude of `frf:` than the pipeline has" in ended.err
+    assert ended.code == 2 and "was made with another `frf:` than the pipeline has now (exclude)" in ended.err
     ended = labpipe("identify", *stage, "--set", "conditions={preload: 1 N}")
-    assert ended.code == 2 and "another preload of `conditions:` than the pipeline has" in ended.err
+    assert ended.code == 2 and "another `conditions:` than the pipeline has now (preload)" in ended.err
     assert not (tmp_path / "identification.json").exists()
     assert labpipe("identify", *stage).code == 0
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_identify_refuses_responses_of_another_rig_or_recording(tmp_path: Path, labpipe, suffix: str) -> None:
+    """Calibrated before they are measured (CSV), or measured as they are read (Parquet). The mass changes no
+    response.
+    """
+    rig, recording = tmp_path / "rig.yaml", tmp_path / f"run.{suffix}"
+    text = Path("configs/hmb-pedestal.yaml").read_text("utf-8")
+    rig.write_text(text, "utf-8")
+    table = pd.read_csv("sample_data/hmb/pedestal.csv")[:40000]
+    write = partial(pd.DataFrame.to_csv if suffix == "csv" else pd.DataFrame.to_parquet, index=False)
+    write(table, recording)
+    pipeline = yaml.safe_load(Path(PEDESTAL).read_text("utf-8"))
+    fits = {"pedestal": pipeline["identify"]["pedestal"]}
+    changed = {"rig": "rig.yaml", "recordings": recording.name, "identify": fits, "expect": {}, "accept": {}}
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump(pipeline | changed), "utf-8")
+    stage = ("-c", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert labpipe("frf", *stage).code == 0
+    rig.write_text(text.replace("0.79 kg", "0.8 kg"), "utf-8")
+    assert labpipe("identify", *stage).code == 0
+    rig.write_text(text.replace("8 V/mm", "4 V/mm"), "utf-8")
+    ended = labpipe("identify", *stage)
+    assert ended.code == 2 and "another `rig:` than the pipeline has now (channels)" in ended.err
+    rig.write_text(text, "utf-8")
+    # The same samples written anew are the same recording.
+    content = recording.read_bytes()
+    recording.write_bytes(content)
+    assert labpipe("identify", *stage).code == 0
+    write(table[:-1], recording)
+    ended = labpipe("identify", *stage)
+    assert ended.code == 2 and f"was made before '{recording.name}' was changed" in ended.err
+
+
+def test_a_calibrated_recording_keeps_to_its_rig(tmp_path: Path, labpipe) -> None:
+    """The sensitivity that the rig file states now would do nothing."""
+    rig = tmp_path / "rig.yaml"
+    text = Path("configs/hmb-pedestal.yaml").read_text("utf-8")
+    rig.write_text(text, "utf-8")
+    assert labpipe("ingest", "sample_data/hmb/pedestal.csv", "-r", rig, "-o", tmp_path).code == 0
+    rig.write_text(text.replace("8 V/mm", "4 V/mm"), "utf-8")
+    calibrated = tmp_path / "pedestal.recording.parquet"
+    sets = [f"--set=rig={rig}", f"--set=recordings={calibrated}"]
+    ended = labpipe("frf", "-c", PEDESTAL, "-o", tmp_path / "out", *sets)
+    assert ended.code == 2 and "another `rig:` than the pipeline has now (channels)" in ended.err
+    rig.write_text(text, "utf-8")
+    assert labpipe("frf", "-c", PEDESTAL, "-o", tmp_path / "out", *sets).code == 0
