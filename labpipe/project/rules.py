@@ -16,6 +16,7 @@ from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, listed
 from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
 from labpipe.records.identification import RuleDecision, RuleOutcome
+from labpipe.records.uncertain import qualities_of, split_uncertainty
 from labpipe.registry import nearest
 from labpipe.uncertainty.decisions import OUTCOMES, PASS
 
@@ -315,6 +316,10 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]
             faults.add(entry, key, f"'{text}' is neither true nor false")
         elif what == EVERY_WARNING and (hint := _spelling(code)):
             faults.add(entry, key, f"unknown warning '{code}'", hint)
+    for text in texts:
+        if qualities := qualities_of(split_uncertainty(text)[1])[1]:
+            what = f"'{', '.join(qualities)}' is of an uncertainty, and a rule states a half width"
+            faults.add(entry, key, what, "write for example '45.2 kN/m +- 1 %', or use limits")
     return texts
 
 

@@ -61,7 +61,7 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
     value = parse_value(value_text, unit)
     if not error_text:
         return Uncertain(value)
-    size_text, qualities = _qualities(error_text)
+    size_text, qualities = qualities_of(error_text)
     relative = size_text.endswith("%")
     if relative and not value:
         raise UnitError(f"'{size_text}' is relative, of zero", "write the uncertainty with its unit")
@@ -82,8 +82,8 @@ def _difference(text: str, si_unit: str) -> float:
     return parse_value(text, si_unit) - (parse_value(f"0 {unit}", si_unit) if unit else 0.0)
 
 
-def _qualities(text: str) -> tuple[str, list[str]]:
-    """The size of an uncertainty and what stands in brackets behind it.
+def qualities_of(text: str) -> tuple[str, list[str]]:
+    """The size of an uncertainty and what stands in brackets behind it: "1 % (k=2)" -> ("1 %", ["k=2"]).
 
     Brackets of a unit are part of the size.
     """

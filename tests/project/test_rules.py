@@ -93,6 +93,11 @@ def test_no_section_has_no_rules() -> None:
         ),
         ("warnings: [also collinear, '>= 1']", "accept.warnings: 'warnings' is held against a word"),
         ("direct.k.significant: maybe", "accept.direct.k.significant: 'maybe' is neither true nor false"),
+        (
+            "direct.k: 45 kN/m +- 1 % (k=2)",
+            "accept.direct.k: 'k=2' is of an uncertainty, and a rule states a",
+        ),
+        ("direct.k: 45 kN/m +- 1 % (rectangular)", "'rectangular' is of an uncertainty"),
         ("- direct.k", "p.yaml:1:1: accept: a mapping of keys to values is needed"),
     ],
 )
