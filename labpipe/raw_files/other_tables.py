@@ -148,7 +148,7 @@ class XlsxTable:
         width = Counter(_width(row) for row in rows if _is_numeric(row)).most_common(1)[0][0]
         self._first = next(n for n, row in enumerate(rows) if _is_numeric(row) and _width(row) == width)
         above = ["\t".join(_text(cell) for cell in row[:width]) for row in rows[: self._first]]
-        names, units = header_of(above, "\t", width)
+        names, units = header_of(above, "\t", range(width - 1, width + 1))
         self._names, self._rows = names, [row[:width] for row in rows[self._first :]]
         self.columns = tuple(name for name in names if name)
         self.units = units

@@ -262,6 +262,8 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         if count == 0 and name in getattr(table, "unused", {}) and bool(getattr(table, "others", None)):
             hint = "resample: RATE in the rig file brings all to one rate"
             raise DataError(f"'{name}' has another rate than the others", table.path, hint)
+        if name in getattr(table, "texts", ()):
+            raise DataError(f"the column '{name}' holds text, not numbers", table.path)
         check_names(table.path, [name], table.columns)
         if count > 1:
             raise DataError(f"the column '{name}' appears {count} times", table.path, "rename one of them")

@@ -6,6 +6,7 @@ Read in blocks by pyarrow.
 from __future__ import annotations
 
 import codecs
+import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -178,7 +179,7 @@ IsNumber = Callable[[str, str], bool]
 @dataclass(frozen=True)
 class Layout:
     """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is
-    0-based. *stamps*: the fields that hold times of day or dates.
+    0-based. *stamps*: the fields that hold times of day or dates; *texts*: those that hold no numbers.
     """
 
     encoding: str
@@ -188,6 +189,7 @@ class Layout:
     units: dict[str, str]
     first_line: int
     stamps: tuple[int, ...] = ()
+    texts: tuple[int, ...] = ()
 
 
 def is_cell(field: str, decimal: str) -> bool:
@@ -213,43 +215,102 @@ def is_missing(field: str) -> bool:
 
 
 def fields_of(line: str, delimiter: str) -> list[str]:
-    return line.split() if delimiter == BLANKS else line.split(delimiter)
+    """The fields of a line; a delimiter in quotation marks is none."""
+    if delimiter == BLANKS:
+        return line.split()
+    return next(csv.reader([line], delimiter=delimiter)) if '"' in line else line.split(delimiter)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A way to take lines apart: the numbers of the lines that are *rows* of *n_field* fields, of which
+    *numeric* hold numbers.
+    """
+
+    delimiter: str
+    decimal: str
+    rows: list[int]
+    n_field: int
+    numeric: tuple[int, ...]
+
+    def holds(self, line: str, number: IsNumber) -> bool:
+        """Whether a line is one of the rows."""
+        fields = fields_of(line, self.delimiter)
+        return len(fields) == self.n_field and _all_numbers(
+            [fields[n] for n in self.numeric], self.decimal, number
+        )
+
+    @property
+    def rank(self) -> int:
+        """Number of rows on a coarse scale, so that a few faulty rows do not determine the delimiter."""
+        return len(self.rows).bit_length()
+
+    def splits_numbers(self, lines: list[str]) -> bool:
+        """Whether 0,0125 is taken for two whole numbers: none begins with a zero."""
+        rows = [fields_of(lines[n], self.delimiter) for n in self.rows]
+        return (
+            (self.delimiter, self.n_field) == (",", 2)
+            and all(
+                re.fullmatch(r"\s*[-+]?\d+", whole) and re.fullmatch(r"\d+\s*", rest) for whole, rest in rows
+            )
+            and any(re.match(r"0\d", rest) for _, rest in rows)
+        )
+
+    def header_fits(self, lines: list[str]) -> bool:
+        """Whether the line above the first row names its fields."""
+        above = [line for line in lines[: self.rows[0]] if line.strip()] if self.rows else []
+        return bool(above) and len(fields_of(above[-1], self.delimiter)) in self.widths(lines)
+
+    def widths(self, lines: list[str]) -> range:
+        """The numbers of fields that a header may have: rows may end in a delimiter that it lacks."""
+        ends = self.delimiter != BLANKS and not fields_of(lines[self.rows[0]], self.delimiter)[-1].strip()
+        return range(self.n_field - ends, self.n_field + 1)
 
 
 def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers. *number*
-    knows what a number is.
+    knows what a number is. Columns of text may stand beside those of numbers.
     """
     encoding, lines = _head(path)
-    sample = _sample(len(lines))
-    # One of the delimiters that no line has stands for all of them: a line is one field.
-    present = [d for d in DELIMITERS if d == BLANKS or any(d in lines[n] for n in sample)]
-    absent = [d for d in DELIMITERS if d not in present][:1]
-    candidates = [
-        (delimiter, decimal, *_numeric_rows(lines, sample, delimiter, decimal, number))
-        for delimiter in (*absent, *present)
-        for decimal in (".", ",")
-        if delimiter != decimal
-    ]
-    # Of equal rows blanks delimit none: they stand beside other delimiters, too.
-    delimited = (_rank(c[2]) for c in candidates if c[0] != BLANKS and c[3] > 1)
-    most = max(delimited, default=0)
-    layouts = [c for c in candidates if c[0] != BLANKS or _rank(c[2]) > most]
-    delimiter, decimal, rows, n_field = max(
-        layouts, key=lambda c: (_rank(c[2]), _header_fits(lines, c), c[3])
-    )
-    if not rows:
+    sample = [n for n in _sample(len(lines)) if lines[n].strip()]
+    found = _way(lines, sample, number, _numeric_rows)
+    if found is None or 2 * len(found.rows) < len(sample):
+        found = _way(lines, sample, number, _rows_with_text) or found
+    if found is None:
         raise DataError("no row of numbers in it", path, "a table of numbers below one header line is needed")
-    first = next(
-        n
-        for n, line in enumerate(lines)
-        if len(fields_of(line, delimiter)) == n_field and _is_numeric(line, delimiter, decimal, number)
-    )
-    names, units = header_of(lines[:first], delimiter, n_field)
+    delimiter, decimal = found.delimiter, found.decimal
+    first = next(n for n, line in enumerate(lines) if found.holds(line, number))
+    names, units = header_of(lines[:first], delimiter, found.widths(lines))
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
     # Times of day are read as seconds, whatever stands in brackets.
     units |= {names[n]: "s" for n in stamps if names[n]}
-    return Layout(encoding, delimiter, decimal, names, units, first, stamps)
+    texts = tuple(n for n in range(found.n_field) if n not in found.numeric)
+    return Layout(encoding, delimiter, decimal, names, units, first, stamps, texts)
+
+
+def _way(
+    lines: list[str], sample: list[int], number: IsNumber, rows_of: Callable[..., _Candidate]
+) -> _Candidate | None:
+    """The best way to take the lines apart; None without a row."""
+    # One of the delimiters that no line has stands for all of them: a line is one field.
+    present = [d for d in DELIMITERS if d == BLANKS or any(d in lines[n] for n in sample)]
+    absent = [d for d in DELIMITERS if d not in present][:1]
+    quoted = any('"' in lines[n] for n in sample)
+    candidates = [
+        rows_of(lines, sample, delimiter, decimal, number)
+        for delimiter in (*absent, *present)
+        for decimal in (".", ",")
+        if delimiter != decimal or quoted
+    ]
+    # Of equal rows blanks delimit none: they stand beside other delimiters, too.
+    delimited = (c.rank for c in candidates if c.delimiter != BLANKS and c.n_field > 1)
+    most = max(delimited, default=0)
+    layouts = [
+        c
+        for c in candidates
+        if c.rows and (c.delimiter != BLANKS or c.rank > most) and not c.splits_numbers(lines)
+    ]
+    return max(layouts, key=lambda c: (c.rank, c.header_fits(lines), len(c.numeric)), default=None)
 
 
 def _head(path: Path) -> tuple[str, list[str]]:
@@ -282,42 +343,48 @@ def _sample(n_line: int) -> list[int]:
     return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
 
 
-def _is_numeric(line: str, delimiter: str, decimal: str, number: IsNumber) -> bool:
-    numbers, fields = 0, fields_of(line, delimiter)
-    if decimal == "." and "_" not in line:
+def _all_numbers(fields: list[str], decimal: str, number: IsNumber) -> bool:
+    """Whether fields are numbers, or missing ones beside at least one."""
+    if decimal == "." and not any("_" in field for field in fields):
         # What most lines are, and what every kind of number holds, is seen at once.
         try:
             return bool([float(field) for field in fields])
         except ValueError:
             pass
-    for field in fields:
-        if number(field, decimal):
-            numbers += 1
-        elif not is_missing(field):
-            return False
-    return numbers > 0
+    numbers = [number(field, decimal) for field in fields]
+    return any(numbers) and all(
+        is_one or is_missing(field) for is_one, field in zip(numbers, fields, strict=True)
+    )
 
 
 def _numeric_rows(
-    lines: list[str], sample: list[int], delimiter: str, decimal: str, is_cell: IsNumber
-) -> tuple[list[int], int]:
-    counts: dict[int, list[int]] = {}
-    for number in sample:
-        if _is_numeric(lines[number], delimiter, decimal, is_cell):
-            counts.setdefault(len(fields_of(lines[number], delimiter)), []).append(number)
-    n_field = max(counts, key=lambda n: (len(counts[n]), n), default=0)
-    return counts.get(n_field, []), n_field
+    lines: list[str], sample: list[int], delimiter: str, decimal: str, number: IsNumber
+) -> _Candidate:
+    rows: dict[int, list[int]] = {}
+    for n in sample:
+        fields = fields_of(lines[n], delimiter)
+        if _all_numbers(fields, decimal, number):
+            rows.setdefault(len(fields), []).append(n)
+    n_field = max(rows, key=lambda n: (len(rows[n]), n), default=0)
+    return _Candidate(delimiter, decimal, rows.get(n_field, []), n_field, tuple(range(n_field)))
 
 
-def _rank(rows: list[int]) -> float:
-    """Number of numeric rows on a coarse scale, so that a few faulty rows do not determine the delimiter."""
-    return round(len(rows).bit_length(), 0)
-
-
-def _header_fits(lines: list[str], candidate: tuple[str, str, list[int], int]) -> bool:
-    delimiter, _, rows, n_field = candidate
-    above = [line for line in lines[: rows[0]] if line.strip()] if rows else []
-    return bool(above) and len(fields_of(above[-1], delimiter)) in (n_field, n_field - 1)
+def _rows_with_text(
+    lines: list[str], sample: list[int], delimiter: str, decimal: str, number: IsNumber
+) -> _Candidate:
+    """Rows that are alike in which of their fields hold numbers, most of all lines: prose has numbers, too.
+    Blanks delimit none: texts hold them.
+    """
+    rows: dict[tuple[bool, ...], list[int]] = {}
+    for n in sample if delimiter != BLANKS else ():
+        is_one = tuple(number(field, decimal) for field in fields_of(lines[n], delimiter))
+        rows.setdefault(is_one, []).append(n)
+    alike = max(rows, key=lambda kind: len(rows[kind]), default=())
+    if not any(alike) or len(rows[alike]) < max(2, len(sample) / 2):
+        return _Candidate(delimiter, decimal, [], 0, ())
+    return _Candidate(
+        delimiter, decimal, rows[alike], len(alike), tuple(n for n, one in enumerate(alike) if one)
+    )
 
 
 # What a logger writes ahead of its row of units.
@@ -328,15 +395,16 @@ def _is_plain(field: str) -> bool:
     return re.fullmatch(r"[-+]?[\d.]+", field) is not None
 
 
-def header_of(above: list[str], delimiter: str, n_field: int) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Names and units from the lines above the numbers; columns without a header are called 1, 2, ..."""
+def header_of(above: list[str], delimiter: str, widths: range) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Names and units from the lines above the numbers, the names of as many fields as *widths* allow of;
+    columns without a header are called 1, 2, ...
+    """
+    n_field = widths[-1]
     rows = [
         [text_of(field.strip().strip('"').strip()) for field in fields_of(_COMMENT.sub("", line), delimiter)]
         for line in above
     ]
-    # A data row may end in a delimiter that its header lacks.
-    fewest = n_field if delimiter == BLANKS else n_field - 1
-    titles = [row + [""] * (n_field - len(row)) for row in rows if fewest <= len(row) <= n_field and any(row)]
+    titles = [row + [""] * (n_field - len(row)) for row in rows if len(row) in widths and any(row)]
     if not titles:
         return tuple(str(n + 1) for n in range(n_field)), {}
     names, unit_row = titles[-1], [""] * n_field
@@ -379,7 +447,9 @@ class CsvTable:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.layout = find_layout(path)
-        self.columns = tuple(name for name in self.layout.names if name)
+        named = [(name, n in self.layout.texts) for n, name in enumerate(self.layout.names) if name]
+        self.columns = tuple(name for name, is_text in named if not is_text)
+        self.texts = tuple(name for name, is_text in named if is_text)
         self.units = self.layout.units
         self.sample_rate: float | None = None
         # Of lines that are appended: times of day go on.

@@ -68,6 +68,46 @@ def test_a_trailing_delimiter_is_no_column(tmp_path: Path) -> None:
     assert np.concatenate(list(table.chunks(["f"])))[:, 0].tolist() == [1, 2, 3]
 
 
+@pytest.mark.parametrize(
+    ("header", "columns"), [("Kraft [N]\n", ("Kraft [N]",)), ("Kraft\nN\n", ("Kraft",)), ("", ("1",))]
+)
+def test_one_channel_with_decimal_commas_is_one_column(
+    tmp_path: Path, header: str, columns: tuple[str, ...]
+) -> None:
+    """Not the whole numbers before the commas, as if a header lacked the name of the others."""
+    table = CsvTable(written(tmp_path, header + "0,25\n-1,0625\n12,5\n"))
+    assert table.columns == columns
+    assert np.concatenate(list(table.chunks(columns)))[:, 0].tolist() == [0.25, -1.0625, 12.5]
+
+
+def test_a_header_without_the_name_of_the_row_numbers_names_no_column(tmp_path: Path) -> None:
+    """As write.table of R leaves it: the names would be those of the columns before."""
+    table = CsvTable(written(tmp_path, '"t","f"\n"1",0,5\n"2",1,6\n'))
+    assert table.columns == ("1", "2", "3")
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ('"t, s","f, N"\n"0,5","1,25"\n"1,5","2,25"\n', ("t, s", "f, N")),
+        ("Tag;t;f;Zustand\n1.3.;0,5;1,25;in Ordnung\n1.3.;1,5;2,25;in Ordnung\n", ("t", "f")),
+        ('n,t,f\n"run 5, up",0.5,1.25\n"run 5, up",1.5,2.25\n', ("t", "f")),
+    ],
+)
+def test_quotation_marks_and_columns_of_text(tmp_path: Path, text: str, columns: tuple[str, ...]) -> None:
+    table = CsvTable(written(tmp_path, text))
+    assert table.columns == columns
+    np.testing.assert_array_equal(np.concatenate(list(table.chunks(columns))), [[0.5, 1.25], [1.5, 2.25]])
+
+
+def test_a_column_of_text_is_named_where_it_is_asked_for(tmp_path: Path) -> None:
+    table = CsvTable(written(tmp_path, "t,f\n0,1 N\n1,2 N\n2,3 N\n"))
+    with pytest.raises(DataError, match="the column 'f' holds text, not numbers"):
+        check_columns(table, ["f"])
+    with pytest.raises(DataError, match="no row of numbers"):
+        CsvTable(written(tmp_path, "Notes, of May\nwe ran 5 times, and\nsaw 3 peaks, 2 of them\n"))
+
+
 def test_missing_numbers_are_nan(tmp_path: Path) -> None:
     table = CsvTable(written(tmp_path, "t,f\n0,1\n1,\n2,NaN\n3,-\n4,5\n"))
     np.testing.assert_array_equal(

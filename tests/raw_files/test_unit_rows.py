@@ -14,11 +14,11 @@ ABOVE = [
 
 
 def test_names_stand_above_ranges_and_offsets_and_a_word_leads_the_units() -> None:
-    names, units = header_of(ABOVE, ",", 4)
+    names, units = header_of(ABOVE, ",", range(4, 5))
     assert names == ("CH No.", "CH2", "CH3", "CH8")
     assert units == {"CH2": "cm/s2", "CH3": "cm/s2", "CH8": "V"}
 
 
 def test_a_row_of_units_right_below_the_names_is_read_as_before() -> None:
-    names, units = header_of(["t,y", "s,mm"], ",", 2)
+    names, units = header_of(["t,y", "s,mm"], ",", range(2, 3))
     assert names == ("t", "y") and units == {"t": "s", "y": "mm"}
