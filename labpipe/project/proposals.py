@@ -71,6 +71,7 @@ def first_look(table: Table) -> FirstLook:
     unused = (
         *(f"{name}: {reason}" for name, reason in copied.items()),
         *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
+        *(f"{name}: text" for name in getattr(table, "texts", ())),
     )
     channels = first_guess.guess_channels(
         [names[n] for n in chosen], table.units, getattr(table, "sensitivities", {})

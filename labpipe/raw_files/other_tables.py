@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 from scipy.io import wavfile
 
@@ -26,23 +27,30 @@ CHUNK_ROWS = 1 << 17
 MOST_EXACT_BITS = 32
 
 
+_TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
 class ParquetTable:
-    """A Parquet table of numbers. Satisfies Table."""
+    """The columns of a Parquet table that hold numbers, states (0 or 1), or times, in seconds since the
+    midnight before the first. Satisfies Table.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._schema = open_parquet(path).schema_arrow
-        self.columns = tuple(self._schema.names)
+        file = open_parquet(path)
+        self._kinds = {field.name: field.type for field in file.schema_arrow}
+        held = [(name, _is_number(self._kinds[name])) for name in file.schema_arrow.names]
+        self.columns = tuple(name for name, is_number in held if is_number)
+        self.texts = tuple(name for name, is_number in held if not is_number)
         self.units = {name: unit for name in self.columns if (unit := bracketed_unit(name))}
+        self.units |= {name: "s" for name in self.columns if pa.types.is_temporal(self._kinds[name])}
         self.sample_rate: float | None = None
-        self.n_row = open_parquet(path).metadata.num_rows
-        if self.n_row == 0:
-            raise DataError("has no rows", path)
+        self.n_row = file.metadata.num_rows
+        if self.n_row == 0 or not self.columns:
+            raise DataError("has no rows" if self.columns else "has no column of numbers", path)
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other. DataError for a
-        column without numbers.
-        """
+        """Consecutive chunks (n, n_column) [unit of the file], a column beside the other."""
         for parts in self.column_chunks(columns):
             rows = np.empty((len(columns), parts[0].size))
             for row, part in zip(rows, parts, strict=True):
@@ -53,18 +61,40 @@ class ParquetTable:
         """The same, each column (n,) [unit of the file] in its own precision where float64 holds that
         exactly.
         """
-        for name in columns:
-            kind = self._schema.field(name).type
-            if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-                raise DataError(f"column '{name}' holds {kind}, numbers are required", self.path)
+        midnights: dict[str, int] = {}
         for batch in batches(self.path, list(dict.fromkeys(columns)), CHUNK_ROWS):
-            yield [_numbers(batch.column(name)) for name in columns]
+            yield [
+                _seconds(batch.column(name), name, midnights)
+                if pa.types.is_temporal(self._kinds[name])
+                else _numbers(batch.column(name))
+                for name in columns
+            ]
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    types = pa.types
+    is_time = types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind)
+    plain = types.is_floating(kind) or types.is_integer(kind) or types.is_decimal(kind)
+    return plain or types.is_boolean(kind) or is_time
 
 
 def _numbers(column: pa.Array) -> FloatArray:
-    exact = pa.types.is_floating(column.type) or column.type.bit_width <= MOST_EXACT_BITS
+    kind = column.type
+    exact = pa.types.is_floating(kind) or (pa.types.is_integer(kind) and kind.bit_width <= MOST_EXACT_BITS)
     values: FloatArray = numpy_array(column if exact and not column.null_count else column.cast(pa.float64()))
     return values
+
+
+def _seconds(column: pa.Array, name: str, midnights: dict[str, int]) -> FloatArray:
+    """Times [s] of the day of the first one, which is put down in *midnights* under the *name*."""
+    tick = _TICKS[column.type.unit]
+    counts = column.cast(pa.int32() if column.type.bit_width == 32 else pa.int64()).cast(pa.int64())
+    first = next((count.as_py() for count in counts if count.is_valid), 0)
+    day = round(86400 / tick)
+    midnight = midnights.setdefault(name, first // day * day if pa.types.is_timestamp(column.type) else 0)
+    # Of whole numbers: their difference is exact.
+    seconds: FloatArray = tick * numpy_array(pc.subtract(counts, midnight).cast(pa.float64()))
+    return seconds
 
 
 class WavTable:
@@ -145,12 +175,15 @@ class XlsxTable:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._sheet, rows = self._rows_of_numbers()
-        width = Counter(_width(row) for row in rows if _is_numeric(row)).most_common(1)[0][0]
-        self._first = next(n for n, row in enumerate(rows) if _is_numeric(row) and _width(row) == width)
+        width, numeric = _alike(rows)
+        self._first = next(
+            n for n, row in enumerate(rows) if _width(row) == width and _is_numeric([row[p] for p in numeric])
+        )
         above = ["\t".join(_text(cell) for cell in row[:width]) for row in rows[: self._first]]
         names, units = header_of(above, "\t", range(width - 1, width + 1))
         self._names, self._rows = names, [row[:width] for row in rows[self._first :]]
-        self.columns = tuple(name for name in names if name)
+        self.columns = tuple(names[place] for place in numeric if names[place])
+        self.texts = tuple(name for place, name in enumerate(names) if name and place not in numeric)
         self.units = units
         self.sample_rate: float | None = None
 
@@ -164,6 +197,7 @@ class XlsxTable:
             sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
             book.close()
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
+        numeric = numeric or {title: rows for title, rows in sheets.items() if _alike(rows)[1]}
         if len(numeric) != 1:
             what = f"several sheets hold numbers: {', '.join(numeric)}"
             what = what if numeric else "no sheet holds a row of numbers"
@@ -194,12 +228,28 @@ class XlsxTable:
         return values
 
 
-def _is_numeric(row: Row) -> bool:
+def _alike(rows: Sequence[Row]) -> tuple[int, Sequence[int]]:
+    """How wide most rows of numbers are, and the places of numbers in them: all, or those beside texts that
+    most rows have; none of a sheet without a table.
+    """
+    filled = [row[:width] for row in rows if (width := _width(row))]
+    widths = Counter(len(row) for row in filled if _is_numeric(row)).most_common(1)
+    kinds = Counter(tuple(map(_is_value, row)) for row in filled).most_common(1)
+    if widths and (2 * widths[0][1] >= len(filled) or not any(kinds[0][0])):
+        return widths[0][0], range(widths[0][0])
+    if not kinds or kinds[0][1] < max(2, len(filled) / 2):
+        return (widths[0][0], range(widths[0][0])) if widths else (0, ())
+    (kind, _) = kinds[0]
+    return len(kind), [place for place, is_value in enumerate(kind) if is_value]
+
+
+def _is_value(cell: Any) -> bool:
+    return isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool)
+
+
+def _is_numeric(row: Sequence[Any]) -> bool:
     cells = [cell for cell in row if cell is not None]
-    is_value = all(
-        isinstance(cell, (int, float, datetime, time)) and not isinstance(cell, bool) for cell in cells
-    )
-    return is_value and any(isinstance(cell, (int, float)) for cell in cells)
+    return all(map(_is_value, cells)) and any(isinstance(cell, (int, float)) for cell in cells)
 
 
 def _width(row: Row) -> int:

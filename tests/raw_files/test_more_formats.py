@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import openpyxl
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
@@ -22,7 +23,7 @@ from labpipe.project.scaffold import scaffold
 from labpipe.raw_files.frf_described import Dofs, read_described
 from labpipe.raw_files.joined_table import ResampledTable
 from labpipe.raw_files.mdf_table import TIME
-from labpipe.raw_files.table import open_table
+from labpipe.raw_files.table import check_columns, open_table
 from labpipe.records.frf_layout import FrfColumns, FrfLayout
 from labpipe.records.recording import Overview
 
@@ -336,3 +337,43 @@ def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dime
         ingest(path, load_rig(rig), output, "s", tmp_path)
     with pytest.raises(DataError, match="the file holds a spectrum"):
         scaffold([path], tmp_path)
+
+
+def test_parquet_columns_of_every_kind(tmp_path: Path) -> None:
+    """Times as pandas writes them, over midnight; a text is named where numbers are asked of it."""
+    path = tmp_path / "run.parquet"
+    frame = pd.DataFrame(
+        {
+            "stamp": pd.date_range("2024-02-29 23:59:59.5", periods=3, freq="500ms", tz="UTC"),
+            "since": pd.to_timedelta([0, 250, 500], unit="ms"),
+            "open": [True, False, True],
+            "x": [1.5, 2.5, -3.5],
+            "state": ["up", "up", "down"],
+        }
+    )
+    frame.loc[1, "stamp"] = pd.NaT
+    frame.to_parquet(path)
+    table = open_table(path)
+    assert table.columns == ("stamp", "since", "open", "x")
+    assert table.units == {"stamp": "s", "since": "s"}
+    rows = [[86399.5, 0.0, 1.0, 1.5], [np.nan, 0.25, 0.0, 2.5], [86400.5, 0.5, 1.0, -3.5]]
+    np.testing.assert_array_equal(whole(path), rows)
+    with pytest.raises(DataError, match="the column 'state' holds text, not numbers"):
+        check_columns(table, ["state"])
+    frame[["state"]].to_parquet(path)
+    with pytest.raises(DataError, match="has no column of numbers"):
+        open_table(path)
+
+
+def test_texts_beside_the_numbers_of_a_workbook(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    rows = [[n / 2, "up" if n < 5 else "down", None if n == 3 else n * n] for n in range(9)]
+    for row in (["Run 5"], [9], ["t", "state", "x"], *rows):
+        book.active.append(row)
+    book.save(tmp_path / "run.xlsx")
+    table = open_table(tmp_path / "run.xlsx")
+    assert table.columns == ("t", "x")
+    expected = [[n / 2, np.nan if n == 3 else n * n] for n in range(9)]
+    np.testing.assert_array_equal(whole(table.path), expected)
+    with pytest.raises(DataError, match="the column 'state' holds text"):
+        check_columns(table, ["state"])
