@@ -121,7 +121,7 @@ class LvmTable:
             yield np.array(rows)
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
-        inside, left = False, self._count or np.inf
+        inside, left, stated = False, self._count or np.inf, 0
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
@@ -135,6 +135,14 @@ class LvmTable:
             elif inside and left > 0 and line.strip():
                 yield number, line
                 left -= 1
+                stated -= 1
+            elif first == "Samples":
+                # Of one header for all segments there are more rows than it says.
+                counts = [int(text) for text in line.split(self._header.delimiter)[1:] if text.isdigit()]
+                stated = max(stated, 0) + (self._count or max(counts, default=0))
+        if stated > 0:
+            what = f"ends {stated} sample(s) before the last one that its header states"
+            raise DataError(what, self.path, "the file is cut off")
 
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
         fields = line.split(self._header.delimiter)

@@ -70,7 +70,8 @@ def test_a_rounded_step_stands_for_the_rate_of_fewest_digits_that_it_may_be(
 
 
 def test_lvm_with_decimal_commas_and_two_segments_with_x_values(tmp_path: Path) -> None:
-    text = SEGMENT + "0,0\t0,5\t-1,5\n0,1\t1,0\t2,5\n\n" + SEGMENT + "0,2\t7\t8\n"
+    two, one = (SEGMENT.replace("3\t3", counts) for counts in ("2\t2", "1\t1"))
+    text = two + "0,0\t0,5\t-1,5\n0,1\t1,0\t2,5\n\n" + one + "0,2\t7\t8\n"
     table = open_table(lvm(tmp_path / "r.lvm", text, "Decimal_Separator\t,\n", "0,1"))
     assert table.columns == ("X_Value", "F", "a") and table.sample_rate is None
     np.testing.assert_array_equal(whole(table.path), [[0, 0.5, -1.5], [0.1, 1, 2.5], [0.2, 7, 8]])
@@ -99,6 +100,7 @@ def test_lvm_at_two_rates(tmp_path: Path) -> None:
             "r.lvm:23: a second segment begins, and no X values say when",
         ),
         (SEGMENT[:60], "r.lvm: is cut off in its header"),
+        (SEGMENT + ROWS[:-7], "r.lvm: ends 1 sample(s) before the last one"),
         (SEGMENT.replace("3\t3", "0\t0") + ROWS, "r.lvm: holds no channel with samples"),
         (
             SEGMENT.replace("{step}\t{step}", "0.1\t-0.2") + ROWS,
