@@ -38,11 +38,13 @@ def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
 def modes_table(fit: Fit, modes: Modes) -> Table:
     largest = np.argmax(np.abs(modes.shapes), axis=0)
     strongest = np.argmax(np.abs(modes.participation), axis=1)
+    # With a model error a mode is not stated where the pole of all lines lies.
+    stated = {parameter.name: parameter.value for parameter in fit.parameters}
     rows = tuple(
         (
             str(n + 1),
-            f"{modes.frequency[n]:.6g}",
-            f"{100 * modes.damping_ratio[n]:.4g}",
+            f"{stated.get(f'f_n_{n + 1}', modes.frequency[n]):.6g}",
+            f"{100 * stated.get(f'zeta_{n + 1}', modes.damping_ratio[n]):.4g}",
             modes.points[largest[n]],
             modes.references[strongest[n]],
             f"{modes.collinearity[n]:.4f}",

@@ -18,7 +18,7 @@ from labpipe.methods.modal.fit import mismatch, modal_findings
 from labpipe.methods.modal.likelihood import Lines
 from labpipe.methods.modal.model_error import phase_collinearity
 from labpipe.methods.modal.poles import kept_modes, refine_with_terms
-from labpipe.methods.modal.report import modal_blocks
+from labpipe.methods.modal.report import modal_blocks, modes_table
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
@@ -255,6 +255,11 @@ def test_result_is_read_back_and_reported() -> None:
     (caption,) = (b.caption for b in blocks if isinstance(b, Figure) and "stable poles" in b.caption)
     assert f"Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz" in caption
     assert len(blocks) == 4 and len(_single(fit)) > len(blocks)
+    # A mode whose model error moves what is stated of it has one frequency in the report.
+    first = next(n for n, parameter in enumerate(fit.parameters) if parameter.name == "f_n_1")
+    moved = replace(fit.parameters[first], value=1.01 * fit.parameters[first].value)
+    stated = replace(fit, parameters=(*fit.parameters[:first], moved, *fit.parameters[first + 1 :]))
+    assert float(modes_table(stated, modes).rows[0][1]) == pytest.approx(moved.value, rel=1e-5)
 
 
 def test_every_detail_has_the_key_of_its_place_in_a_result_and_none_is_lost() -> None:
