@@ -159,7 +159,7 @@ def test_the_notebook_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, object] = {}
     for code in blocks((DOCS / "pages/how-to/notebook.md").read_text(encoding="utf-8"), "python"):
         exec(code, names)
-    assert capsys.readouterr().out == "k = 134.50 kN/m +- 0.01\nno difference\n"
+    assert capsys.readouterr().out == "k = 134.50 kN/m, 95 %: 134.48 to 134.52\nno difference\n"
     assert bytes(names["html"]).startswith(b"<!DOCTYPE html>")
 
 
