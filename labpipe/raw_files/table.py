@@ -258,10 +258,15 @@ def check_names(path: Path, required: Sequence[str], columns: Sequence[str]) -> 
 def check_columns(table: Table, required: Sequence[str]) -> None:
     """DataError for a required column that is missing (with the nearest name) or not unique."""
     for name in required:
-        count = table.columns.count(name)
-        if count == 0 and name in getattr(table, "unused", {}) and bool(getattr(table, "others", None)):
-            hint = "resample: RATE in the rig file brings all to one rate"
-            raise DataError(f"'{name}' has another rate than the others", table.path, hint)
+        count, unused = table.columns.count(name), getattr(table, "unused", {})
+        if count == 0 and name in unused:
+            if getattr(table, "others", None):
+                what = f"'{name}' has another rate than the others"
+                hint = "resample: RATE in the rig file brings all to one rate"
+            else:
+                what = f"'{name}' has {unused[name]} values, fewer than the others"
+                hint = "channels of one recording have as many values"
+            raise DataError(what, table.path, hint)
         if name in getattr(table, "texts", ()):
             raise DataError(f"the column '{name}' holds text, not numbers", table.path)
         check_names(table.path, [name], table.columns)

@@ -31,7 +31,7 @@ _SAME = 1e-6
 
 class TdmsTable:
     """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table. *sensitivities*
-    where properties state them.
+    where properties state them; *unused*: shorter channels, with their numbers of values.
     """
 
     def __init__(self, path: Path) -> None:
@@ -50,6 +50,7 @@ class TdmsTable:
         if length < 1:
             raise DataError("holds no channel of numbers", self.path)
         channels = [channel for channel in candidates if len(channel) == length]
+        self.unused = {c.name: len(c) for c in candidates if len(c) < length}
         names = [channel.name for channel in channels]
         self.columns = unique(
             [c.name if names.count(c.name) == 1 else f"{c.group_name}/{c.name}" for c in channels]

@@ -12,7 +12,7 @@ from nptdms import ChannelObject, RootObject, TdmsWriter, base_segment, tdms_seg
 
 from labpipe.errors import DataError
 from labpipe.raw_files import tdms_table
-from labpipe.raw_files.table import open_table
+from labpipe.raw_files.table import check_columns, open_table
 
 # The lead-in of a segment: mark, flags, version, bytes to the next segment and to the raw data.
 LEAD_IN = struct.Struct("<4sIIQQ")
@@ -39,6 +39,13 @@ def patched(path: Path, more: bytes = b"", flags: int = 0) -> None:
 
 def numbers(path: Path, *names: str) -> np.ndarray:
     return np.concatenate(list(open_table(path).chunks(names)))
+
+
+def test_a_channel_with_fewer_values_is_named_as_such(tmp_path: Path) -> None:
+    table = open_table(write(tmp_path / "r.tdms", {"x": np.zeros(9), "slow": np.zeros(3)}))
+    assert table.columns == ("x",)
+    with pytest.raises(DataError, match="'slow' has 3 values, fewer than the others"):
+        check_columns(table, ["slow"])
 
 
 @pytest.mark.parametrize("seed", range(6))
