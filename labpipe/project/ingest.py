@@ -62,7 +62,7 @@ def check_made_with(
     # Entries that an earlier version did not have are as they are now.
     entries = json.loads(json.dumps(now, default=vars))
     if other := [key for key, entry in entries.items() if key in made and not _agree(made[key], entry)]:
-        what = f"was made with another `{part}:` than the pipeline has now ({', '.join(other)})"
+        what = f"was made with another `{part}:` than there is now ({', '.join(other)})"
         raise DataError(what, path, again)
 
 

@@ -392,9 +392,9 @@ def test_identify_refuses_responses_that_were_made_with_other_settings(tmp_path:
     stage = ("-c", PEDESTAL, "-o", tmp_path)
     assert labpipe("frf", *stage).code == 0
     ended = labpipe("identify", *stage, "--set", "frf.exclude=[64-66 Hz]")
-    assert ended.code == 2 and "was made with another `frf:` than the pipeline has now (exclude)" in ended.err
+    assert ended.code == 2 and "was made with another `frf:` than there is now (exclude)" in ended.err
     ended = labpipe("identify", *stage, "--set", "conditions={preload: 1 N}")
-    assert ended.code == 2 and "another `conditions:` than the pipeline has now (preload)" in ended.err
+    assert ended.code == 2 and "another `conditions:` than there is now (preload)" in ended.err
     assert not (tmp_path / "identification.json").exists()
     assert labpipe("identify", *stage).code == 0
 
@@ -420,7 +420,7 @@ def test_identify_refuses_responses_of_another_rig_or_recording(tmp_path: Path, 
     assert labpipe("identify", *stage).code == 0
     rig.write_text(text.replace("8 V/mm", "4 V/mm"), "utf-8")
     ended = labpipe("identify", *stage)
-    assert ended.code == 2 and "another `rig:` than the pipeline has now (channels)" in ended.err
+    assert ended.code == 2 and "another `rig:` than there is now (channels)" in ended.err
     rig.write_text(text, "utf-8")
     # The same samples written anew are the same recording.
     content = recording.read_bytes()
@@ -441,6 +441,6 @@ def test_a_calibrated_recording_keeps_to_its_rig(tmp_path: Path, labpipe) -> Non
     calibrated = tmp_path / "pedestal.recording.parquet"
     sets = [f"--set=rig={rig}", f"--set=recordings={calibrated}"]
     ended = labpipe("frf", "-c", PEDESTAL, "-o", tmp_path / "out", *sets)
-    assert ended.code == 2 and "another `rig:` than the pipeline has now (channels)" in ended.err
+    assert ended.code == 2 and "another `rig:` than there is now (channels)" in ended.err
     rig.write_text(text, "utf-8")
     assert labpipe("frf", "-c", PEDESTAL, "-o", tmp_path / "out", *sets).code == 0

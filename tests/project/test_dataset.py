@@ -216,7 +216,7 @@ def test_fits_by_themselves_give_the_same_dataset(lab: Path, jobs: Path, labpipe
     )
     assert here == there
     ended = labpipe("identify", "-c", "fleet.yaml", "-o", "out", "-q", "--set", "frf.band=12-38 Hz")
-    assert ended.code == 2 and "was made with another `frf:` than the pipeline has now (band)" in ended.err
+    assert ended.code == 2 and "was made with another `frf:` than there is now (band)" in ended.err
     (jobs / "out/t03.frf.parquet").unlink()
     ended = labpipe("identify", "-c", "fleet.yaml", "-o", "out", "-q")
     assert ended.code == 2 and "t03.frf.parquet: no such file; run `labpipe frf` first" in ended.err

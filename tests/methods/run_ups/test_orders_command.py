@@ -188,4 +188,4 @@ def test_a_baseline_of_the_same_name_leaves_the_run_s_recording(project: Path, l
     rig.write_text(text, encoding="utf-8")
     (stored,) = (project / "other").glob("*.parquet")
     ended = labpipe(*given, "--baseline", stored, *change)
-    assert ended.code == 2 and "--baseline: its responses are not those of the run" in ended.err, ended
+    assert ended.code == 2 and "made with another `rig:` than there is now (channels)" in ended.err, ended
