@@ -80,10 +80,9 @@ def reported_fit(
 def is_direct(name: str) -> bool:
     """True for a coefficient in the direction of its own motion: k, c, m, k_xx, c_yy, k_1_1, m_2_2."""
     letter, _, place = name.partition("_")
-    if letter not in ("k", "c", "m"):
-        return False
-    half = (len(place) - 1) // 2 if "_" in place else len(place) // 2
-    return not place or place[:half] == place[-half:]
+    half = len(place) // 2
+    between = "_" if "_" in place else ""
+    return letter in ("k", "c", "m") and place == f"{place[:half]}{between}{place[:half]}"
 
 
 def correct(total: Estimated, settings: FitSettings) -> Estimated:

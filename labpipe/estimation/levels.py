@@ -15,7 +15,7 @@ from labpipe.display import change_text
 from labpipe.distributions import chi2_tail
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, random_part
 
 # Conditions of a test that say how strongly it was excited.
 LEVELS = ("level", "amplitude", "force", "excitation")
@@ -99,7 +99,8 @@ def _estimates(fit: Fit) -> list[Parameter]:
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
     """Covariance (n, n) of the estimates with model error; given numbers are the same at both levels."""
-    errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
+    random = [random_part(fit, parameter) or parameter.full_error or 0.0 for parameter in parameters]
+    errors = np.array(random)
     by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:
         if detail.given_in_noise:

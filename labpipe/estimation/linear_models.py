@@ -252,11 +252,12 @@ def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
         return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)
     output_angles = [angle_of(output) for output in setup.outputs]
-    if angle is None or None in output_angles:
+    there = [output.place == port.place for output in setup.outputs]
+    if angle is None or None in output_angles or not any(there):
         hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
         what = f"the force {port.label} acts on dof '{port.dof}', which has no response"
         raise ConfigError(what, hint=hint)
-    shares = np.cos(angle - np.array(output_angles, dtype=float))
+    shares = np.cos(angle - np.array(output_angles, dtype=float)) * there
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)
 
 

@@ -222,9 +222,16 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
             )
         else:
             stated.append(parameter)
+    # Beside the parts of given numbers, those of noise and repeats.
+    random = {
+        p.name: float(np.sqrt(max((p.full_error or 0.0) ** 2 - (p.systematic or 0.0) ** 2, 0.0)))
+        for p in stated
+        if p.name in means
+    }
     return replace(
         pooled,
         parameters=tuple(stated),
+        budget=None if pooled.budget is None else pooled.budget.with_random(random),
         findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
         notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )

@@ -134,6 +134,8 @@ def is_transfer(output: Port, force: Port) -> bool:
     if not output.dof or not force.dof or output.dof == force.dof:
         return False
     angles = angle_of(output), angle_of(force)
+    if output.place and force.place and output.place != force.place:
+        return True
     if not (_is_place(output) and _is_place(force)):
         return angles == (None, None) and (_is_place(output) or _is_place(force))
     if angles[0] is not None and angles[1] is not None:

@@ -66,8 +66,8 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     corrected = holm(np.array([p for p, _ in raw]))
     first, second = tests.names
     bands = tuple(
-        _band(f"{second} against {first}", *pair, reach, float(p))
-        for pair, (_, reach), p in zip(usable, raw, corrected, strict=True)
+        _band(f"{second} against {first}", *pair, ends, float(p))
+        for pair, (_, ends), p in zip(usable, raw, corrected, strict=True)
     )
     differing = [band for band in bands if band.p_value is not None and band.p_value < settings.level]
     verdict = "different" if differing else "no difference"
@@ -90,7 +90,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
 
 
 def _has_error(fit: Fit, name: str) -> bool:
-    return any(parameter.name == name and parameter.std_error for parameter in fit.parameters)
+    return any(p.name == name and p.std_error and p.ci95 is not None for p in fit.parameters)
 
 
 def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
@@ -106,23 +106,33 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
     return [settings.parameter]
 
 
-def _test(a: Fit, b: Fit, name: str) -> tuple[float, float]:
-    """Two-sided p-value of a difference, and half the width of its 95 % interval."""
+def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]:
+    """Two-sided p-value of a difference, and the 95 % interval of the ratio.
+
+    It holds every ratio r for which b - r a is no larger than its error (Fieller 1954); None where a may be
+    zero.
+    """
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
     shared = float(np.linalg.norm(second - first))
     parts = np.append(errors, shared)
     total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, np.array([a.dof, b.dof, np.inf]))
-    t = (b.parameter(name).value - a.parameter(name).value) / total
-    return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total
+    old, new = a.parameter(name).value, b.parameter(name).value
+    square = student_quantile(0.975, dof) ** 2
+    below = old**2 - square * (errors[0] ** 2 + first @ first)
+    middle = old * new - square * (first @ second)
+    above = new**2 - square * (errors[1] ** 2 + second @ second)
+    root = np.sqrt(max(middle**2 - below * above, 0.0))
+    ends = None if below <= 0 else (float((middle - root) / below), float((middle + root) / below))
+    return 2 * student_tail(abs(new - old) / total, dof), ends
 
 
-def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) -> ComparedBand:
-    """The second group's value beside the first's; the ratio's interval is that of the difference."""
+def _band(
+    test: str, a: Fit, b: Fit, name: str, ends: tuple[float, float] | None, p_value: float
+) -> ComparedBand:
+    """The second group's value beside the first's."""
     old, new = a.parameter(name), b.parameter(name)
     assert new.ci95 is not None
-    ends = sorted((1 + (new.value - old.value + sign * reach) / old.value) for sign in (-1, 1))
-    ratio = new.value / old.value
     return ComparedBand(
         test,
         f"{name} of {a.term}" if a.term else name,
@@ -132,8 +142,8 @@ def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) ->
         ci95=new.ci95,
         other=old.value,
         other_ci95=old.ci95,
-        ratio=ratio,
-        ratio_ci95=(ends[0], ends[1]),
+        ratio=new.value / old.value if old.value else None,
+        ratio_ci95=ends,
         p_value=p_value,
     )
 

@@ -192,7 +192,7 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
     """ln(second / first) at every common condition (n,), its error, its changes by common sources (n_source,
     n) [1], which cancel as far as both change alike, and the degrees of freedom of the error.
     """
-    logs, errors = np.log(campaign.value), _errors(campaign)
+    errors, logs = _errors(campaign), np.log(campaign.value)
     relative = campaign.common / campaign.value
     groups = np.array([observation.group for observation in campaign.observations])
     for name in (first, second):

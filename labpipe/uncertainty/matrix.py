@@ -141,9 +141,12 @@ def equilibrium_paths(
     """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests
     of the matrix.
 
-    ConfigError where x or y is no displacement. Equation (comp-path).
+    ConfigError where x or y is no displacement, or the load no force. Equation (comp-path).
     """
     number = [axis.name for axis in matrix.axes].index(settings.load)
+    if matrix.axes[number].unit != QUANTITIES["force"].si_unit:
+        what = f"the condition '{settings.load}' is no force but in {matrix.axes[number].unit or 'no unit'}"
+        raise SettingError("path", what, "write the load as a force, for example 50 N")
     axes = [axis for axis in matrix.axes if axis.name != settings.load]
     paths = []
     # In the order of the other conditions.
@@ -382,7 +385,10 @@ def _axes(
     axes, numbers = [], []
     for name in settings.over:
         unit, values = amounts[name]
-        levels, number = levels_of(values, settings.tolerance)
+        # Temperatures compare as people write them: 20 and 25 degC are no level of 293 K.
+        zero = 273.15 if unit == "K" else 0.0
+        levels, number = levels_of(values - zero, settings.tolerance)
+        levels = levels + zero
         axes.append(comparison.ConditionAxis(name, unit, tuple(levels.tolist())))
         numbers.append(number.tolist())
     return tuple(axes), list(zip(*numbers, strict=True))
