@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
-from labpipe.estimation.budget import Case, Refit, sources_of
+from labpipe.estimation.budget import Case, Change, Refit, sources_of
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.weights import has_noise, whitener
 from labpipe.records.finding import Finding, Parameter
@@ -132,7 +132,10 @@ def propagate(
     """
     _check("monte_carlo", draws, f"at least {FEWEST_DRAWS}, 2000 is usual", case.measured, FEWEST_DRAWS)
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
-    drawn = [_draw(case, fitted, refit, rng) for _ in range(draws)]
+    # A number that the data contradict is as uncertain as in the budget.
+    counted = {source.source: source for source in budget.sources}
+    sources = [(counted.get(of.source, of), change) for of, change in sources_of(case.setup, case.measured)]
+    drawn = [_draw(case, sources, fitted, refit, rng) for _ in range(draws)]
     # Where a stiffness or a mass comes out negative there is no frequency.
     values = [[of_draw[name] for name in budget.names] for of_draw in drawn if {*budget.names} <= {*of_draw}]
     _check_failed("monte_carlo", len(values), draws)
@@ -149,10 +152,16 @@ def propagate(
     return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
-def _draw(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Generator) -> dict[str, float]:
+def _draw(
+    case: Case,
+    sources: Sequence[tuple[Uncertainty, Change]],
+    fitted: ComplexArray,
+    refit: Refit,
+    rng: np.random.Generator,
+) -> dict[str, float]:
     """Reported values [parameter units] of one draw by name; none where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
-    for uncertainty, change in sources_of(case.setup, case.measured):
+    for uncertainty, change in sources:
         changed = change(changed, drawn_error(uncertainty, rng))
     try:
         parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
