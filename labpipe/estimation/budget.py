@@ -28,14 +28,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
 from labpipe.estimation.settings import FitSettings, Support
 from labpipe.estimation.statistics import Estimate, Stated, pulls_of
-from labpipe.estimation.weights import (
-    Weights,
-    equal_weights,
-    fit_weights,
-    has_noise,
-    weight_uncertainty,
-    whitener,
-)
+from labpipe.estimation.weights import Weights, fit_weights, has_noise, weight_uncertainty
 from labpipe.records import uncertain
 from labpipe.records.finding import Contribution, IntervalParts, Parameter
 from labpipe.records.identification import Fit
@@ -103,14 +96,12 @@ def full_errors(parameters: Sequence[Parameter]) -> FloatArray:
 
 
 def _model_of(case: Case, changed: Case) -> BandModel:
-    """The model of a *changed* case, made anew where its numbers are not those of *case*."""
     return case.model if changed.setup is case.setup else case.model_of(changed.setup)
 
 
 def _slopes(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], values: Callable[[Case], FloatArray]
 ) -> FloatArray:
-    """Changes (n_source, n) of *values* (n,) by one standard uncertainty of each source."""
     sizes = [SHARE * uncertainty.std_error for uncertainty, _ in sources]
     ends = [
         (values(change(case, size)), values(change(case, -size)))
@@ -164,7 +155,6 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
 def _move(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], at: FloatArray, values: FloatArray
 ) -> Case:
-    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)."""
     moved = case
     for (uncertainty, change), amount in zip(sources, at, strict=True):
         moved = change(moved, amount * uncertainty.std_error)
@@ -294,7 +284,6 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[uncertain.Uncerta
 
 
 def _together(entries: Sequence[tuple[uncertain.Uncertainty, Change]]) -> Change:
-    """All changes of one source by the same number of standard uncertainties."""
     first = entries[0][0].std_error
 
     def change(case: Case, error: float) -> Case:
@@ -306,7 +295,6 @@ def _together(entries: Sequence[tuple[uncertain.Uncertainty, Change]]) -> Change
 
 
 def _with_matrix(case: Case, matrix: ComplexArray) -> Case:
-    """The case with another measured *matrix* (n_line, n_output, n_input) [m/N]."""
     return replace(case, measured=replace(case.measured, matrix=matrix))
 
 
@@ -357,7 +345,6 @@ def _change_by(matrix_error: uncertain.MatrixError) -> Change:
 
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
-    """The setup with an output (*sign* 1) or a force in another direction; a port without one stays."""
     side = "outputs" if sign > 0 else "inputs"
     ports: list[Port] = list(getattr(setup, side))
     angle = ports[number].angle
@@ -444,9 +431,8 @@ def likelihood_step(case: Case) -> Step:
 
 
 def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    """Weights, Jacobian (n_equation, n_parameter) and residual (n_equation,) of the output error there."""
     measured, values = case.measured, case.estimate.values
-    weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    weights = fit_weights(measured)
     problem = OutputError(measured, expected(measured, case.model), weights)
     return weights, problem.jacobian(values), problem.residual(values)
 

@@ -81,13 +81,8 @@ MOST_STEPS = 40
 TOLERANCE = 0.01
 
 
-@dataclass(frozen=True)
-class _FreeFit:
-    """Fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
-
-    values: FloatArray
-    covariance: FloatArray
-    dof: float
+# A fit with free mass: all values, their covariance, and the degrees of freedom behind it.
+_FreeFit = tuple[FloatArray, FloatArray, float]
 
 
 def mass_findings(
@@ -161,13 +156,13 @@ def _free_fit(
                 by_stated = pulls_of(residual, changes, jacobian, inverse, uncertainty.inflation).explained
             after, of_noise = linear.chi2 - by_stated, dof * uncertainty.excess
             if uncertainty.p_value(after / of_noise, dof) >= CONTRADICTED_P:
-                return _FreeFit(minimum.values, uncertainty.inflation * inverse + steps.T @ steps, dof)
+                return minimum.values, uncertainty.inflation * inverse + steps.T @ steps, dof
             if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
                 return None
         scatter = line_scatter(jacobian, residual, measured.omega.size)
     except (FitError, np.linalg.LinAlgError):
         return None
-    return _FreeFit(minimum.values, scatter.covariance + steps.T @ steps, float(np.min(scatter.dof)))
+    return minimum.values, scatter.covariance + steps.T @ steps, float(np.min(scatter.dof))
 
 
 def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> float:
@@ -181,21 +176,21 @@ def _p_value(fit: _FreeFit, given: FloatArray) -> float:
     """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE:
     Hotelling's T^2 of all together.
     """
-    n = given.size
-    covariance, off, limits = fit.covariance[-n:, -n:], fit.values[-n:] - given, TOLERANCE * given
+    n, (values, whole, dof) = given.size, fit
+    covariance, off, limits = whole[-n:, -n:], values[-n:] - given, TOLERANCE * given
     if not np.any(covariance):
         # FRFs that the model meets to the last digit.
         return 1.0 if np.all(np.abs(off) <= limits) else 0.0
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    square, rest = _least_square(whiten, off, limits), fit.dof - n + 1
-    return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
+    square, rest = _least_square(whiten, off, limits), dof - n + 1
+    return f_tail(square * rest / (dof * n), n, rest) if rest > 0 and square > 0 else 1.0
 
 
 def _message(
     model: DynamicModel, given: FloatArray, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup
 ) -> str:
     n = given.size
-    free = correct(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
+    free = correct(Estimated(model.names, model.units, *fit[:2]), setup.settings)
     exact = np.zeros((values.size, values.size))
     before = correct(Estimated(model.names[:-n], model.units[:-n], values, exact), setup.settings)
     masses = ", ".join(
@@ -325,7 +320,6 @@ def is_late(delay: float, error: float, highest: float) -> bool:
 
 
 def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
-    """Name and elements (n_output, n_input) of every channel that may be late."""
     shape = measured.matrix.shape[1:]
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     row, column = np.indices(shape)
@@ -344,7 +338,6 @@ def _delay(
     start: FloatArray,
     name: str,
 ) -> tuple[float, Finding] | None:
-    """chi-square with the delay of a channel, and the finding; None if it explains too little."""
     highest = float(measured.omega[-1])
     if measured.n_equation <= start.size:
         return None
@@ -469,7 +462,6 @@ def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list
 
 
 def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
-    """The gain of every channel; of a single force and a single response only the one of both."""
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     if len(outputs) == len(inputs) == 1:
         return [(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
@@ -479,7 +471,6 @@ def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_
 
 
 def _basis(shapes: FloatArray) -> FloatArray:
-    """Orthonormal rows (rank, n_equation) that span *shapes* (n_shape, n_equation)."""
     lengths = np.linalg.norm(shapes, axis=1)
     _, singular, rows = np.linalg.svd(shapes[lengths > 0] / lengths[lengths > 0, None], full_matrices=False)
     return np.asarray(rows[singular > SAME_SHAPE * singular[0]])

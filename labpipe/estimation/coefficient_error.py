@@ -195,8 +195,6 @@ def averaged_error(misfit: Misfit) -> CoefficientError | None:
 
 @dataclass
 class _Scene:
-    """The fit that courses are held against, and what it makes of them once."""
-
     misfit: Misfit
 
     def __post_init__(self) -> None:
@@ -434,7 +432,6 @@ def _evidence(
 
 
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
-    """Re sum conj(first) second over lines and elements, (n_first, n_second)."""
     left, right = (part.reshape(-1, part.shape[-1]) for part in (first, second))
     return np.asarray((left.conj().T @ right).real)
 

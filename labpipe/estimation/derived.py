@@ -98,7 +98,6 @@ def correct(total: Estimated, settings: FitSettings) -> Estimated:
 
 
 def _of_support(name: str, settings: FitSettings) -> float:
-    """What of a coefficient is the support's [its unit]: nothing of those that are not direct."""
     support = settings.subtract or Support()
     amounts = {"k": support.stiffness.value, "c": support.damping.value}
     return amounts.get(name[0], 0.0) if is_direct(name) else 0.0

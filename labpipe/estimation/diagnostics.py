@@ -178,8 +178,7 @@ def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], c
     condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
         return []
-    groups = collinear_groups(estimate.scaled_design, names)
-    group = [name for members in groups for name in members] or list(names)
+    group = collinear_group(estimate.scaled_design, names) or list(names)
     growth = _growth(estimate, names, units, group) if units else None
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
@@ -205,7 +204,6 @@ def _rough(number: float) -> str:
 def _growth(
     estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]
 ) -> float | None:
-    """The largest amplification in the group over the largest coefficient of its unit; None if unknown."""
     if estimate.amplification is None:
         return None
     largest = {
@@ -218,9 +216,9 @@ def _growth(
     )
 
 
-def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:
+def collinear_group(scaled_design: FloatArray, names: Sequence[str]) -> list[str]:
     """Parameters with most of their variance in weak directions of *scaled_design* (n_parameter, n_parameter)
-    [1], as one group.
+    [1].
 
     Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
     """
@@ -229,9 +227,7 @@ def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[li
     parts = (vectors / np.maximum(singular, floor)[:, None]) ** 2
     weak = singular[0] > COLLINEAR_CONDITION * singular
     involved = np.sum(parts[weak], axis=0) > VARIANCE_PROPORTION * np.sum(parts, axis=0)
-    return (
-        [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
-    )
+    return [name for name, inside in zip(names, involved, strict=True) if inside]
 
 
 def goodness_findings(gof: Goodness) -> list[Finding]:
@@ -308,7 +304,6 @@ def parameter_findings(
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Warnings on damping ratios impossible for a passive oscillator, or without oscillation."""
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
     text = [
         f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning"
@@ -477,7 +472,6 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
 
 
 def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | None:
-    """(frequency, half-power width) [Hz] of the most lightly damped mode in the band, None without one."""
     if np.linalg.matrix_rank(whole.mass) < whole.mass.shape[0]:
         return None
     modal = modes(Matrices(whole.stiffness[None], whole.damping[None], whole.mass[None], whole.force[None]))

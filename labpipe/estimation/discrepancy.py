@@ -85,7 +85,6 @@ def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
 
 
 def _shape(base: Fitted, kind: str) -> ComplexArray:
-    """b (n_line,) of a type at the ordinary fit."""
     value, _, main = base.at_minimum
     return {"a": np.ones_like(value), "m": value, "z": main**2}[kind]
 
@@ -400,7 +399,6 @@ def _scan(
 
 
 def _second_scan(base: Fitted, best: _Scan) -> _Scan:
-    """A second course beside the best one, which is frozen."""
     b, w = half_width(base.model, base.theta), base.model.curve.width
     of_modes = [("a", b), ("a", np.sqrt(2 * b * w)), ("a", 2 * w)]
     tried = [*of_modes, ("m", 0.5 * w), ("m", 2 * w), ("z", b), ("z", 3 * b)]

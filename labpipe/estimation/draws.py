@@ -57,7 +57,6 @@ def bootstrap(
 
 
 def _check(key: str, n: int, usual: str, measured: Measured, fewest: int) -> None:
-    """FitError for fewer draws than an interval needs, and for an unknown noise."""
     if n < fewest:
         raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=usual)
     if not has_noise(measured):

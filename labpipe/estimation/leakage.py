@@ -266,7 +266,6 @@ class Leakage:
 
     @cached_property
     def _weights(self) -> Any:
-        """Weights of the points of every line as a sparse matrix (n_line, n_every) [1]."""
         omega, place = self.grid
         n_line, n_point = place.shape
         weights = (self.kernel.weights * self._factors).ravel()
@@ -371,7 +370,6 @@ def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> C
 
 
 def _rows(deviation: ComplexArray) -> ComplexArray:
-    """Values (n_line, n_point, n_output, n_input) by output, (n_line, n_output, n_point n_input)."""
     n_line, n_point, n_output, n_input = deviation.shape
     return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
 
@@ -405,7 +403,6 @@ def _scatter(
 
 
 def _by_force(products: ComplexArray, power: FloatArray) -> ComplexArray:
-    """Covariance (n_pair, n, n) of vec(H) from the outputs' (n_pair, n_output, n_output), over each force."""
     n_pair, n_output, _ = products.shape
     n = n_output * power.size
     return np.einsum("kop,ij->koipj", products, np.diag(1 / power)).reshape(n_pair, n, n)

@@ -87,7 +87,6 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
 
 
 def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
-    """Least squares of the whitened equation error times Z_last^-1."""
     measured, linear = problem.measured, problem.model.linear
     if has_line_products(linear, problem.weights):
         values = _by_line_products(problem, last)
@@ -167,7 +166,6 @@ def maximum_likelihood(
 
 
 def _dof(measured: Measured, model: FittedModel) -> int:
-    """Equations less parameters; FitError for none."""
     n_parameter = len(model.names)
     if measured.n_equation <= n_parameter:
         what = f"{measured.n_equation} real equations cannot determine {n_parameter} parameters"
@@ -210,7 +208,6 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
 def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
-    """The estimate at a minimum of *problem*, with its uncertainty."""
     n_parameter, dof = len(model.names), _dof(measured, model)
     linear = problem.linearised(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
@@ -294,7 +291,6 @@ def assess(
 def _best_minimum(
     problem: OutputError[ResponseModel], p_value: Callable[[float], float] | None, most_steps: int
 ) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts; further ones only where *p_value* makes the last minimum suspect."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem, p_value):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)

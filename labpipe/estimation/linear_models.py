@@ -28,7 +28,6 @@ PERPENDICULAR = 1e-3
 
 
 def _scalar_mass(mass: Mass) -> float | None:
-    """The mass [kg], or None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
     if not isinstance(mass, (int, float)):
@@ -78,7 +77,6 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
 
 
 def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[int]) -> list[Term]:
-    """b_x, b_y of every force; with the force's label where there are several."""
     suffixes = [""] if len(inputs) == 1 else [f"_{port.label}" for port in inputs]
     return [
         entry_term(f"b_{'xy'[axis]}{suffix}", "force", [(axes.index(axis), column)], shape, droppable=False)
@@ -216,7 +214,6 @@ def mdof(setup: Setup) -> DynamicModel:
 def _entries(
     letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True
 ) -> list[Term]:
-    """One parameter per entry of a matrix; of a symmetric one, those on and above the diagonal."""
     terms = []
     for r in range(len(dofs)):
         for c in range(r if symmetric else 0, len(dofs)):
@@ -226,7 +223,6 @@ def _entries(
 
 
 def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
-    """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
     try:

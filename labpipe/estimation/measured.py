@@ -191,7 +191,6 @@ def _noise_of_channels(
 def _chosen_covariance(
     response: FrequencyResponse, index: list[int], lines: BoolArray, factor: ComplexArray
 ) -> StoredCovariance:
-    """The covariance of the elements *index* on the lines over |factor|^2, in blocks where it is so."""
     stored = response.stored_covariance
     if isinstance(stored, BlockCovariance):
         return stored.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
@@ -226,7 +225,6 @@ def _share(numbers: IntArray, correlation: FloatArray) -> float:
 
 
 def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
-    """FitError for an output that is zero at every line."""
     still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
     if still:
         what = f"the FRF of {', '.join(still)} is zero at every line of the band"

@@ -62,10 +62,6 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Minimum:
-    """A minimum of the output error, its uncertainty, the residual's p-value and, of unknown noise,
-    structure.
-    """
-
     problem: OutputError[ReceptanceModel]
     values: FloatArray
     assessed: Assessed
@@ -269,7 +265,6 @@ def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
 
 
 def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
-    """The model error of one mode inside the interval; None for other models."""
     error = model_error(judged.measured, judged.model, best.values, judged.settings)
     if error is None:
         return None
@@ -282,7 +277,6 @@ def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
 
 
 def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
-    """The model error of several coefficients inside the interval; None where nothing tells the noise."""
     weights = _noise_weights(judged, best)
     if weights is None:
         return None
@@ -347,7 +341,6 @@ def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) ->
 
 
 def _wording(best: _Minimum) -> str:
-    """What is wrong with the residual."""
     if best.structure is None:
         return excess_text(best.assessed.reduced, best.p_value)
     return (
@@ -362,7 +355,6 @@ def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
 
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
-    """The covariance (n, n) enlarged so far that no variance is below that of *least* (n, n)."""
     ratio = np.sqrt(np.maximum(np.diag(least) / np.maximum(np.diag(covariance), np.finfo(float).tiny), 1.0))
     return np.asarray(covariance * np.outer(ratio, ratio))
 

@@ -158,7 +158,6 @@ class ModeModel:
 
     @cached_property
     def _plain(self) -> ModeModel:
-        """A second mode by itself."""
         return ModeModel(self.curve)
 
     def _with_conjugate(self, q: FloatArray) -> ComplexArray:

@@ -220,7 +220,6 @@ class DynamicModel:
         return slopes.transpose(3, 0, 1, 2)
 
     def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
-        """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
         n_line, n_dof, n_input = slopes.shape[:3]
         inverse = _regular(np.linalg.inv, _dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
@@ -286,7 +285,6 @@ class DynamicModel:
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
-        """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
         stacks = {}
         for kind in ("stiffness", "damping", "mass", "force"):
             matrices = [getattr(term.matrices, kind) for term in self.terms]
@@ -303,7 +301,6 @@ def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -
 
 
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
-    """By what a matrix of each kind stands in Z(w), (n_line,)."""
     return {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
 
 

@@ -151,7 +151,6 @@ def reason_of(shares: Mapping[str, float], worded: Callable[[str], str] = str) -
 
 
 def _cause(share: str) -> str:
-    """The cause of a share such as "Ja", "a", "+am" or "none"."""
     if share == "none":
         return NOISE
     if share.startswith(SECOND):
@@ -194,8 +193,6 @@ def model_error(
 
 @dataclass(frozen=True)
 class _Built:
-    """A mode without its curve, its *start* (n_shape,), what its parameters are, the *force* h is over."""
-
     mode: ModeModel
     start: FloatArray
     rows: dict[str, StatedRow]
@@ -237,7 +234,6 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
 
 
 def _coefficient_rows(mode: ModeModel, stiffness: str, damping: str) -> dict[str, StatedRow]:
-    """Coefficients, a free mass among them, and the resonance that they give."""
     unit = np.eye(mode.n_interest)
     rows = {stiffness: StatedRow(unit[0]), damping: StatedRow(unit[1])}
     if mode.mass is None:

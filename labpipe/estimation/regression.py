@@ -240,7 +240,6 @@ def _invert(
 
 
 def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """One regression: estimates and their covariance from its residual variance."""
     columns = statistics.stacked_terms(terms).T
     side = statistics.stack(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
@@ -253,7 +252,6 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
 
 
 def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
-    """(rows of the equation of motion, parameters) of every group of rows with common parameters."""
     n_dof = model.constant.mass.shape[0]
     acts = [
         np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1)
@@ -332,7 +330,6 @@ def instrument_step(
 def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
 ) -> tuple[FloatArray, bool, int]:
-    """(estimate, True if converged, iterations)."""
     last: ComplexArray | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)

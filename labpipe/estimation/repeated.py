@@ -50,8 +50,6 @@ Fitting = Callable[[FrequencyResponse, FitSettings, bool], tuple[Fit, ...]]
 
 @dataclass(frozen=True)
 class _Test:
-    """A test of several recordings, and how one of them is fitted."""
-
     response: FrequencyResponse
     settings: FitSettings
     fitting: Fitting
@@ -410,7 +408,6 @@ def _wording(used: int, groups: Sequence[str], test: _Test, course: _Course | No
 def _findings(
     names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test, course: _Course | None
 ) -> list[Finding]:
-    """Notes on repeats that stand out or drift, and a warning where they are two populations."""
     what = test.response.repeats_are
     if kept.two_populations:
         message = (

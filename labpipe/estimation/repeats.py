@@ -100,7 +100,6 @@ def kept_repeats(
 
 
 def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
-    """Lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least squares."""
     columns = np.stack([np.ones_like(covariate), covariate - np.mean(covariate)], axis=1)
     lines = np.empty_like(values)
     for number, y in enumerate(values.T):

@@ -73,7 +73,6 @@ def jackknife_residual(leverage: FloatArray, residual: FloatArray) -> FloatArray
 
 
 def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
-    """Columns (n_equation, n) by line, (n_line, n_equation / n_line, n)."""
     n = columns.shape[1]
     return columns.reshape(2, n_line, -1, n).swapaxes(0, 1).reshape(n_line, -1, n)
 
@@ -172,7 +171,6 @@ def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
 
 
 def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
-    """Noise of unit variance, (2 n_line n_element, n_draw) [1]: real parts, then imaginary parts."""
     rng = np.random.default_rng(n_line)
     if shared is None:
         return rng.standard_normal((2 * n_line * n_element, n_draw))
@@ -195,7 +193,6 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
-    """The least p-value of *observed* statistics (4,), against the least ones of the draws (n_draw, 4)."""
     n_draw = draws.shape[0]
     p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)

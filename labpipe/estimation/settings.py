@@ -247,7 +247,6 @@ class FitSettings(Settings):
         return self.mass == ESTIMATE and "m" not in dict(self.fixed)
 
     def _check_keys(self) -> None:
-        """ConfigError for an estimator that does not fit the model, and for keys that change nothing."""
         kind = self.kind
         every = {name: estimator_of(name) for name in ESTIMATORS}
         able = kind.estimators or [name for name, by in every.items() if kind.one_frf or not by.one_frf]
@@ -269,7 +268,6 @@ class FitSettings(Settings):
                 raise SettingError(key, f"'{key}' is not for estimator {self.estimator}", hint)
 
     def _check_combinations(self) -> None:
-        """ConfigError for keys that change nothing, or have no meaning, beside others."""
         law, free_mass = self.damping != VISCOUS, self.mass == ESTIMATE
         either = "leave one of them out"
         what, is_pool = "'repeat_groups' needs every recording fitted alone", self.repeats == "pool"
@@ -305,7 +303,6 @@ class FitSettings(Settings):
             _refuse(self.kind.of_base and free_mass and there, key, what, "for example mass: 0.92 kg")
 
     def _check_bands(self) -> None:
-        """ConfigError for bands or ports that are set twice."""
         sliding, ports = self.sliding, self.input or self.output
         what = "width and step of sliding bands must be positive"
         _refuse(sliding and min(sliding.width, sliding.step) <= 0, "sliding", what)
@@ -317,7 +314,6 @@ class FitSettings(Settings):
 
 
 def _refuse(wrong: object, field: str, what: str, hint: str = "") -> None:
-    """SettingError about the key *field* where something is *wrong*."""
     if wrong:
         raise SettingError(field, what, hint)
 
@@ -368,5 +364,4 @@ def models_text(key: str) -> str:
 
 
 def _one_of(names: Sequence[str]) -> str:
-    """a, b or c."""
     return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

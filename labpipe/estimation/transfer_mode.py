@@ -212,7 +212,6 @@ def peak_starts(measured: Measured) -> list[FloatArray]:
 
 
 def _with_amounts(measured: Measured, start: FloatArray) -> FloatArray:
-    """Start values (6,) of w_n^2 and 2 zeta w_n (2,) with the residue and the constant of least squares."""
     h, w, unit = measured.matrix[:, 0, 0], measured.omega, np.ones(measured.omega.size, np.complex128)
     below = start[0] - w**2 + 1j * w * start[1]
     rows = stack(np.array([1 / below, 1j / below, unit, 1j * unit])).T

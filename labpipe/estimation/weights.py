@@ -397,6 +397,5 @@ def short_weights(whitener: Weights) -> Weights:
 
 
 def _first(measured: Measured, at: BoolArray) -> str:
-    """The first line, in Hz, at which *at* (n_line, n) holds for any FRF."""
     line = int(np.argmax(np.any(at, axis=1)))
     return f"{measured.omega[line] / (2 * np.pi):g} Hz"

@@ -68,12 +68,12 @@ def with_budget(
     degrees of freedom behind the random parts, None where these are known. Intervals of the *logarithmic*
     amounts are those of a factor.
     """
+    if not sources:
+        return tuple(amounts), None
     random = full_errors(amounts)
     whole = Budget(tuple(amount.name for amount in amounts), random, dof, tuple(sources), changes)
     smallest = CANCELLED * np.hypot(np.nan_to_num(random), whole.systematic)
     counted = np.where((np.abs(changes) > smallest) & np.isfinite(random), changes, 0.0)
-    if not sources:
-        return tuple(amounts), None
     kept = [number for number, row in enumerate(counted) if np.any(row)] or list(range(len(sources)))
     budget = replace(whole, sources=tuple(sources[number] for number in kept), changes=counted[kept])
     stated = list(contribute(with_systematic(amounts, budget), budget, INTERVAL))

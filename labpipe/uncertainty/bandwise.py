@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,12 +25,8 @@ MOST_NAMED = 8
 COEFFICIENTS = ("N/m", "N.s/m")
 
 
-@dataclass(frozen=True)
-class TwoTests:
-    """The fits of two tests, of the groups *names* in order."""
-
-    names: tuple[str, str]
-    fits: tuple[tuple[Fit, ...], tuple[Fit, ...]]
+# The fits of two tests, in the order of the groups.
+TwoTests = tuple[tuple[Fit, ...], tuple[Fit, ...]]
 
 
 def holm(p_values: FloatArray) -> FloatArray:
@@ -54,8 +49,8 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     both tests and therefore excluded. ConfigError for an unknown parameter, FitError without a common band.
     Equation (comp-bands).
     """
-    names = _parameters(settings, tests)
-    every = itertools.product(names, *tests.fits)
+    names = _parameters(settings, tests[0][0])
+    every = itertools.product(names, *tests)
     pairs = [(a, b, name) for name, a, b in every if (a.band_hz, a.term) == (b.band_hz, b.term)]
     usable = [(a, b, name) for a, b, name in pairs if _has_error(a, name) and _has_error(b, name)]
     if not usable:
@@ -64,7 +59,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
         )
     raw = [_test(a, b, name) for a, b, name in usable]
     corrected = holm(np.array([p for p, _ in raw]))
-    first, second = tests.names
+    first, second = settings.groups
     bands = tuple(
         _band(f"{second} against {first}", *pair, ends, float(p))
         for pair, (_, ends), p in zip(usable, raw, corrected, strict=True)
@@ -83,7 +78,7 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
             chance("p_value", float(np.min(corrected))),
         ),
         verdict=verdict,
-        statement=_statement(tests, bands, differing, verdict, settings.level, len(pairs) - len(usable)),
+        statement=_statement(settings, bands, differing, verdict, len(pairs) - len(usable)),
         condition=settings.group,
         bands=bands,
     )
@@ -93,8 +88,8 @@ def _has_error(fit: Fit, name: str) -> bool:
     return any(p.name == name and p.std_error and p.ci95 is not None for p in fit.parameters)
 
 
-def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
-    names = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
+def _parameters(settings: CompareSettings, fit: Fit) -> list[str]:
+    names = [p.name for p in fit.parameters if p.unit in COEFFICIENTS and not p.derived]
     if settings.parameter == ANY and ANY not in names:
         return names
     if settings.parameter == ANY:
@@ -130,7 +125,6 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]
 def _band(
     test: str, a: Fit, b: Fit, name: str, ends: tuple[float, float] | None, p_value: float
 ) -> ComparedBand:
-    """The second group's value beside the first's."""
     old, new = a.parameter(name), b.parameter(name)
     assert new.ci95 is not None
     return ComparedBand(
@@ -149,18 +143,17 @@ def _band(
 
 
 def _statement(
-    tests: TwoTests,
+    settings: CompareSettings,
     bands: Sequence[ComparedBand],
     differing: Sequence[ComparedBand],
     verdict: str,
-    level: float,
     left_out: int,
 ) -> str:
-    first, second = tests.names
+    first, second = settings.groups
     result = (
         f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
     )
-    corrected = f" (Holm's correction, together at most {100 * level:g} % false alarms)."
+    corrected = f" (Holm's correction, together at most {100 * settings.level:g} % false alarms)."
     listed = [
         f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})"
         for band in differing[:MOST_NAMED]
@@ -186,4 +179,4 @@ def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[t
                 hint=f"known: {names}",
             )
         chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
-    return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]))
+    return chosen[0], chosen[1]

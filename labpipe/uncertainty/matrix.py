@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -114,7 +114,6 @@ def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str
 def _along(
     matrix: comparison.ConditionMatrix, axis: int
 ) -> dict[tuple[int, ...], list[comparison.MatrixPoint]]:
-    """The points along an axis, in its order, by their place on the other axes."""
     groups: dict[tuple[int, ...], list[comparison.MatrixPoint]] = {}
     for point in sorted(matrix.points, key=lambda point: point.place[axis]):
         groups.setdefault(point.place[:axis] + point.place[axis + 1 :], []).append(point)
@@ -225,24 +224,17 @@ def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
     three loads, or of a line.
     """
     first = min(max(n - 1, 0), max(loads.size - 3, 0))
-    members = np.arange(first, min(first + 3, loads.size))
+    near = loads[first : first + 3] - loads[n]
     weights: FloatArray = np.zeros(loads.size)
-    for i in members:
-        others = [j for j in members if j != i]
-        below = np.prod([loads[i] - loads[j] for j in others])
-        weights[i] = sum(np.prod([loads[n] - loads[k] for k in others if k != j]) for j in others) / below
+    # Over the range, powers of loads of any size are alike.
+    powers = np.vander(near / np.ptp(near), increasing=True)
+    weights[first : first + 3] = np.linalg.inv(powers)[1] / np.ptp(near)
     return weights
 
 
-@dataclass(frozen=True)
-class _Compliance:
-    """One fit's displacement per force *value* (2,) [m/N], its covariance (2, 2) by noise, and its change
-    (2,) by every source.
-    """
-
-    value: FloatArray
-    covariance: FloatArray
-    changes: Mapping[str, FloatArray]
+# One fit's displacement per force (2,) [m/N], its covariance (2, 2) by noise, and its change (2,) by every
+# source.
+_Compliance = tuple[FloatArray, FloatArray, dict[str, FloatArray]]
 
 
 def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray] | None:
@@ -255,12 +247,12 @@ def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatAr
     results = [result for fit in fits if (result := _compliance(settings, fit)) is not None]
     if not results:
         return None
-    mean = np.mean([result.value for result in results], axis=0)
-    covariance = sum(result.covariance for result in results) / len(results) ** 2
-    for source in dict.fromkeys(source for result in results for source in result.changes):
-        change = sum(result.changes.get(source, np.zeros(2)) for result in results) / len(results)
+    values, covariances, changes = zip(*results, strict=True)
+    covariance = np.sum(covariances, axis=0) / len(results) ** 2
+    for source in dict.fromkeys(source for of_fit in changes for source in of_fit):
+        change = np.mean([of_fit.get(source, np.zeros(2)) for of_fit in changes], axis=0)
         covariance = covariance + np.outer(change, change)
-    return np.asarray(mean), np.asarray(covariance)
+    return np.mean(values, axis=0), covariance
 
 
 def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
@@ -288,7 +280,7 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
         source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS])
         for source in sources
     }
-    return _Compliance(displacement, slopes @ covariance @ slopes.T, changes)
+    return displacement, slopes @ covariance @ slopes.T, changes
 
 
 def _chance_of_slopes(
@@ -381,7 +373,6 @@ def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[st
 def _axes(
     settings: MatrixSettings, amounts: Mapping[str, _Amounts]
 ) -> tuple[tuple[comparison.ConditionAxis, ...], list[tuple[int, ...]]]:
-    """The axes with their levels, and the place of every test on them."""
     axes, numbers = [], []
     for name in settings.over:
         unit, values = amounts[name]

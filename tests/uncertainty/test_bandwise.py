@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Uncertainty
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
-from labpipe.uncertainty.bandwise import TwoTests, bandwise, holm, two_tests
+from labpipe.uncertainty.bandwise import bandwise, holm, two_tests
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings
 from tests.methods.magnetic_bearing.loop_cases import SETTINGS, bearing, measured
@@ -53,8 +53,7 @@ def made(
 
 
 def compared(first: tuple[Fit, ...], second: tuple[Fit, ...], **asked) -> Comparison:
-    tests = TwoTests(("0 rpm", "8000 rpm"), (first, second))
-    return bandwise(replace(ASKED, **asked), tests)
+    return bandwise(replace(ASKED, **asked), (first, second))
 
 
 def test_a_term_is_compared_with_its_own_alone() -> None:
@@ -200,7 +199,7 @@ def test_each_group_is_the_fits_of_its_one_test() -> None:
     first, second = made([(1e4, 5.0)], "turning"), made([(1e4, 5.0)], "still")
     groups = [("turning", "8000 rpm"), ("still", "0 rpm"), ("warm", "0 C")]
     found = two_tests(ASKED, (*first, *second), groups)
-    assert found == TwoTests(("0 rpm", "8000 rpm"), (second, first))
+    assert found == (second, first)
     with pytest.raises(ConfigError, match="2 tests have speed: 0 rpm"):
         two_tests(ASKED, (*first, *second), [*groups, ("cold", "0 rpm")])
 
