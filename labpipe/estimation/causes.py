@@ -91,10 +91,9 @@ def mass_findings(
     """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the
     fit with it.
 
-    Whatever the estimator, the mass is freed in an output-error fit, which noise does not bias. No finding
-    where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then.
-    Nor in sliding bands, where stiffness that changes with frequency looks like another mass. What *stated*
-    numbers change adds to the uncertainty of the free mass. Equation (est-mass).
+    The mass is freed in an output-error fit, which noise does not bias. None where the forces' factors are
+    estimated too: the curve knows ratios only then; nor in sliding bands, where stiffness that changes with
+    frequency looks like another mass. *stated* numbers add to its uncertainty. Equation (est-mass).
     """
     freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
@@ -133,9 +132,9 @@ def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] 
 def _free_fit(
     measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None
 ) -> _FreeFit | None:
-    """The fit from *start* (n_parameter,); None where the data cannot tell the mass. Its covariance is that
-    of the measured noise where this explains the residual, else of the residual's scatter along the lines; of
-    a measured excess the free mass must explain most, or something else is wrong.
+    """None where the data cannot tell the mass. The covariance is of the measured noise where this explains
+    the residual, else of the residual's scatter along the lines; of a measured excess the free mass must
+    explain most, or something else is wrong.
     """
     weighted = has_noise(measured)
     if measured.n_equation <= start.size:
@@ -256,8 +255,8 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     """The channel whose delay explains a residual that is far from noise, with the finding; *values*
     (n_parameter,) [parameter units] of the fit.
 
-    Of each response, with several also of each force, the delay is fitted beside all parameters, from the
-    best of a grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
+    The delay of each response, of several forces too, is fitted beside all parameters from the best of a
+    grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
     """
     if not has_noise(measured):
         return {}
@@ -282,10 +281,10 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
 def _best_of_grid(
     measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray
 ) -> list[tuple[float, OutputError[DelayedModel], FloatArray]]:
-    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and its place.
+    """The least chi-square of a grid of delays, its problem, and its place.
 
-    Of one FRF beside those of least squares with each delay as well, and a second place a quarter of a period
-    and more away: half a period off, a mode has the same course with the other signs.
+    Of one FRF beside least squares with each delay as well, and a second place a quarter of a period and more
+    away: half a period off, a mode has the same course with the other signs.
     """
     omega = measured.omega
     delayed = DelayedModel(expected(measured, model), late)
@@ -365,9 +364,9 @@ def delay_finding(
     of_fit: Iterable[tuple[str, str, float, float]],
     cure: str = "",
 ) -> Finding:
-    """The finding of a channel *name* that is late by *delay* [s] with its error; *reduced*: chi-square per
-    degree of freedom without and with it; *of_fit*: name, unit, value and error of every parameter with it;
-    *cure*: what else may explain it.
+    """A channel *name* that is late by *delay* [s] with its error; *reduced*: chi-square per degree of
+    freedom without and with it; *of_fit*: name, unit, value and error of every parameter; *cure*: what else
+    may explain it.
     """
     changed = ", ".join(
         f"{name} = {_amount(value, unit, std_error)}"
@@ -412,9 +411,9 @@ def drift_findings(
     """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter
     units] of the fit.
 
-    Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all
-    parameters together; p-values are for the best of all, in *n_band* bands of one record (Bonferroni). None
-    where the halves or the noise are not known. Equation (est-drift).
+    Shapes: the gain of every channel, all stiffness or all damping by one factor, and all parameters
+    together; p-values are for the best of all in *n_band* bands (Bonferroni). None where the halves or the
+    noise are not known. Equation (est-drift).
     """
     if measured.change is None or not has_noise(measured):
         return []

@@ -53,9 +53,9 @@ FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
 
 @dataclass(frozen=True)
 class Course:
-    """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K,
-    which has trace n_line, and *rotate*, the rotated whitening (n_line, n_line) [1 / unit]; *before*: ln det
-    of what else the noise holds; *amplitudes* a (n_amplitude,) [1].
+    """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K, of
+    trace n_line, and rotated whitening *rotate* (n_line, n_line) [1 / unit]; *before*: ln det of other noise;
+    *amplitudes* a (n_amplitude,) [1].
     """
 
     kind: str
@@ -143,10 +143,9 @@ def courses_beside(
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the data say of a member with each course at all amplitudes: ln of the restricted marginal
-    likelihood (n_course, n_amplitude) [1], minus infinity without a solution; mean (n_course, n_amplitude,
-    n_kept) and covariance (n_course, n_amplitude, n_kept, n_kept) of what the model keeps; *theta* (n_course,
-    n) [1]: the ends.
+    """Of a member with each course: ln of the restricted marginal likelihood (n_course, n_amplitude) [1],
+    minus infinity without a solution; mean (n_course, n_amplitude, n_kept) and covariance (n_course,
+    n_amplitude, n_kept, n_kept) of what is kept; the ends *theta* (n_course, n) [1].
     """
 
     log: FloatArray
@@ -211,8 +210,8 @@ def evidence(
 def _linearised(
     of: Course, fit: Fitted, theta: FloatArray, at: tuple[ComplexArray, ...], prior: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Lengths of the columns of J (n,), not finite if run away; of columns over them F (n_amplitude, n, n)
-    and g (n_amplitude, n); what of ln E needs no solution (n_amplitude,) [1].
+    """Lengths of the columns of J (n,), not finite if run away; F (n_amplitude, n, n) and g (n_amplitude, n)
+    over them; what of ln E needs no solution (n_amplitude,).
     """
     r, j = of.rotate @ (fit.model.curve.values - at[0]), of.rotate @ at[1].T
     scale, away = np.sqrt(np.sum(np.abs(j) ** 2, axis=0)), fit.theta - theta
@@ -232,10 +231,10 @@ def _linearised(
 class Mixture:
     """The parameters of interest with noise and model error, as a mixture of normal distributions.
 
-    Components of these *names* (member and type, "+" beside a second course, "" for the model as it is) with
+    Components of these *names* (member and type, "+" beside a second course, "" for the model as it is) have
     *weights* (n_component,) [1], means (n_component, n_kept) and covariances (n_component, n_kept, n_kept)
-    [1] of what is kept; *noise*: covariance (n_kept, n_kept) by noise alone; *base*: the ordinary fit;
-    second: frequency of a second mode [Hz], motion: relative rms motion of the resonance, if any.
+    [1]; *noise*: covariance (n_kept, n_kept) by noise alone; *base*: the ordinary fit; second: frequency of a
+    second mode [Hz], motion: relative rms of the resonance's, if any.
     """
 
     names: Sequence[str]
@@ -303,10 +302,8 @@ def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
 
 
 def mixture(base: Fitted) -> Mixture:
-    """Every member of the ladder with every course at every amplitude, weighted by evidence and prior.
-
-    *base*: the ordinary fit. FitError where band or lines do not tell a course from the resonance. Equation
-    (unc-discrepancy).
+    """Every member of the ladder beside the ordinary fit *base* with every course, weighted by evidence and
+    prior. FitError where band or lines do not tell a course from the resonance. Equation (unc-discrepancy).
     """
     model = base.model
     b = half_width(model, base.theta)
@@ -352,8 +349,8 @@ def mixture(base: Fitted) -> Mixture:
 
 @dataclass(frozen=True)
 class _Scan:
-    """What the data say of a *fit* with *courses*: ln of *prior* and weights (n_course, n_amplitude) [1] of
-    the components, minus infinity where there is none.
+    """A *fit* with *courses*: ln of *prior* and weights (n_course, n_amplitude) [1], minus infinity where
+    there is none.
     """
 
     fit: Fitted

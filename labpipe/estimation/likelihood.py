@@ -59,11 +59,9 @@ def starts(
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
     by_products = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
-    values = (
-        equation_solution(regression(problem.measured, linear, "none"), linear)[0]
-        if by_products is None
-        else by_products
-    )
+    values = by_products
+    if values is None:
+        values = equation_solution(regression(problem.measured, linear, "none"), linear)[0]
     attempts = [_start(problem, "least squares", model.from_linear(values))]
     idle = 0
     for number in range(1, REWEIGHTINGS + 1):
@@ -72,9 +70,8 @@ def starts(
         except (FitError, np.linalg.LinAlgError):
             break
         lowest = min(start.chi2 for start in attempts)
-        attempts.append(
-            _start(problem, f"reweighted least squares (pass {number})", model.from_linear(values))
-        )
+        name = f"reweighted least squares (pass {number})"
+        attempts.append(_start(problem, name, model.from_linear(values)))
         idle = 0 if attempts[-1].chi2 < WORTHWHILE * lowest else idle + 1
         if idle == 2 or (p_value is not None and p_value(attempts[-1].chi2) >= SUSPECT_P):
             break

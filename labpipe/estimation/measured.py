@@ -196,10 +196,8 @@ def _chosen_covariance(
         return stored.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
     if response.covariance is None:
         return None
-    covariance: ComplexArray = (
-        response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
-    )
-    return covariance
+    whole = response.covariance[lines][:, index][:, :, index]
+    return np.asarray(whole / (np.abs(factor) ** 2)[:, None, None])
 
 
 def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:

@@ -285,12 +285,12 @@ class DynamicModel:
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
-        stacks = {}
-        for kind in ("stiffness", "damping", "mass", "force"):
-            matrices = [getattr(term.matrices, kind) for term in self.terms]
-            none = np.zeros((0, *getattr(self.constant, kind).shape))
-            stacks[kind] = np.stack(matrices) if matrices else none
-        return stacks
+        return {
+            kind: np.array([getattr(term.matrices, kind) for term in self.terms]).reshape(
+                -1, *getattr(self.constant, kind).shape
+            )
+            for kind in UNITS
+        }
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:

@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, change_in, random_error
 from labpipe.uncertainty.bandwise import holm
-from labpipe.uncertainty.observations import check_single, condition_of
+from labpipe.uncertainty.observations import amounts_of, check_single
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
 from labpipe.uncertainty.weighted import weighted_mean
 
@@ -317,7 +317,7 @@ def condition_matrix(
     """
     chosen = _choose(settings, fits)
     amounts = {
-        name: _amounts(name, chosen, conditions)
+        name: amounts_of(name, chosen, conditions)
         for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
     }
     axes, places = _axes(settings, amounts)
@@ -359,15 +359,6 @@ def _choose(settings: MatrixSettings, fits: Sequence[Fit]) -> list[Fit]:
 
 def _of_path(settings: MatrixSettings) -> tuple[str, ...]:
     return () if settings.path is None else (settings.path.x, settings.path.y)
-
-
-def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> _Amounts:
-    pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
-    units = sorted({unit for _, unit in pairs})
-    if len(units) > 1:
-        what = f"the condition '{name}' has the units {', '.join(units)}"
-        raise ConfigError(what, hint="write it in one dimension")
-    return units[0], np.array([value for value, _ in pairs])
 
 
 def _axes(
