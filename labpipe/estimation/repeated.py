@@ -221,11 +221,7 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
         else:
             stated.append(parameter)
     # Beside the parts of given numbers, those of noise and repeats.
-    random = {
-        p.name: float(np.sqrt(max((p.full_error or 0.0) ** 2 - (p.systematic or 0.0) ** 2, 0.0)))
-        for p in stated
-        if p.name in means
-    }
+    random = {p.name: _random(p) for p in stated if p.name in means}
     return replace(
         pooled,
         parameters=tuple(stated),
@@ -233,6 +229,11 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
         findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
         notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )
+
+
+def _random(parameter: Parameter) -> float:
+    full, systematic = parameter.full_error or 0.0, parameter.systematic or 0.0
+    return float(np.sqrt(max(full**2 - systematic**2, 0.0)))
 
 
 @dataclass(frozen=True)
