@@ -32,7 +32,6 @@ from labpipe.estimation.weights import Weights, fit_weights, has_noise, weight_u
 from labpipe.records import uncertain
 from labpipe.records.finding import Contribution, IntervalParts, Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
 
 # Standard errors from a minimum below which an estimate is the minimum.
@@ -118,8 +117,8 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     """The fit with stated numbers where data and statements together have them, the sources, and what these
     still change of its residual.
 
-    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of
-    these: far above the noise it is not linear. Of unknown noise as it was made. FitError as `solve_scaled`.
+    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers, which far above the noise is not
+    linear. Of unknown noise as it was made. FitError as `solve_scaled`.
     """
     sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
@@ -218,8 +217,7 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
     """The fit with combined and expanded uncertainty, and the sources, of parameters that given numbers make
-    uncertain. *coverage* [1]: probability of the expanded one, by Student's t with the effective degrees of
-    freedom.
+    uncertain. *coverage* [1] of the expanded one, by Student's t with the effective degrees of freedom.
     """
     stated = fit.parameters if fit.budget is None else contribute(fit.parameters, fit.budget, coverage)
     return replace(fit, parameters=tuple(map(_with_interval_parts, stated)))
@@ -320,8 +318,7 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
 
 def _change_of_direction(number: int, sign: float) -> Change:
     """Another direction of a force, of which the model knows; or of a sensor, which then reads the motion
-    across it too. Without another of known direction beside it, it is turned in the model, as if the motion
-    were alike in all directions.
+    across it too. Without another one to tell that, the motion counts as alike in all directions.
     """
 
     def change(case: Case, error: float) -> Case:
@@ -346,7 +343,7 @@ def _change_by(matrix_error: uncertain.MatrixError) -> Change:
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
     side = "outputs" if sign > 0 else "inputs"
-    ports: list[Port] = list(getattr(setup, side))
+    ports = list(getattr(setup, side))
     angle = ports[number].angle
     ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
     changed: dict[str, Any] = {side: tuple(ports)}
@@ -447,10 +444,8 @@ def with_repeat_sources(
     conditions: Mapping[str, Any],
     coverage: float,
 ) -> Fit:
-    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties. One
-    source changes one parameter, since repeats of one coefficient do not tell how others go with it.
-
-    ConfigError for a test without the condition that its errors go by.
+    """The fit with the scatter between repeats in its budget, of one parameter each; *coverage* [1] of
+    expanded uncertainties. ConfigError for a test without the condition that its errors go by.
     """
     names = [parameter.name for parameter in fit.parameters]
     counted = [_source(source, fit, test, conditions) for source in sources if source.parameter in names]

@@ -1,10 +1,9 @@
 """What a fit of several coefficients states where its residual is not noise: intervals that include the model
 error.
 
-vec H = h(p) + D z + n on the lines of all FRFs together: n the noise, as large as measured or larger, and D z
-a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m of every response
-and every force (gain), z of every element of the dynamic stiffness (its law, drift), U of a stiffness that
-moves meanwhile. Courses are smooth functions of few numbers z.
+vec H = h(p) + D z + n on the lines of all FRFs: n the noise, as large as measured or larger, and D z a smooth
+course of discrepancy: a in every FRF by itself (other modes), m of every response and force (gain), z of
+every element of the dynamic stiffness (its law, drift), U of a stiffness that moves meanwhile.
 """
 
 from __future__ import annotations
@@ -174,9 +173,7 @@ def coefficient_error(
 
 
 def averaged_error(misfit: Misfit) -> CoefficientError | None:
-    """The average over all courses, linearised until its mean stays; None for too few lines, or without
-    solution.
-    """
+    """The average over all courses; None for too few lines, or without solution."""
     if misfit.omega.size < FEWEST_LINES:
         return None
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -331,8 +330,10 @@ def _simpler(settings: FitSettings) -> list[_Variant]:
 
 def _changes(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
     for change in changes:
-        with contextlib.suppress(ConfigError):
+        try:
             yield replace(settings, **change)
+        except ConfigError:
+            continue
 
 
 def _description(settings: FitSettings) -> str:

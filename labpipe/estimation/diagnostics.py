@@ -171,9 +171,8 @@ def estimate_findings(
 
 
 def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], cure: Remedy) -> list[Finding]:
-    """Parameters that are not separately identifiable, by Belsley's variance proportions of weak directions.
-    Correlated columns alone are harmless, as of stiffness and mass of a resonance: the warning requires an
-    error of the FRF to be amplified in the parameters.
+    """By Belsley's variance proportions of weak directions. Correlated columns alone are harmless, as of
+    stiffness and mass of a resonance: the warning requires an error of the FRF to be amplified.
     """
     condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
@@ -233,19 +232,16 @@ def collinear_group(scaled_design: FloatArray, names: Sequence[str]) -> list[str
 def goodness_findings(gof: Goodness) -> list[Finding]:
     """A warning where the fit explains little of the response, or less than its mean does."""
     value = gof.r2_adjusted
+    if value >= LOW_GOF:
+        return []
     if value < 0:
         message = (
             f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. Its "
             "numbers are not a result; check the band, the ports, the signs of the channels and the model"
         )
         return [Finding("negative-gof", message)]
-    if value < LOW_GOF:
-        message = (
-            f"G.o.F {value:.3g}: the fit explains less than half of how the data vary over the band; the "
-            "rest is noise, or not this model"
-        )
-        return [Finding("low-gof", message)]
-    return []
+    share = "the fit explains less than half of how the data vary over the band"
+    return [Finding("low-gof", f"G.o.F {value:.3g}: {share}; the rest is noise, or not this model")]
 
 
 def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
@@ -305,11 +301,8 @@ def parameter_findings(
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
-    text = [
-        f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning"
-        for p in ratios
-        if p.value > 1
-    ]
+    damped = "is above 1: this fit has no resonance, f_n has no meaning"
+    text = [f"{p.name} = {p.value:.3g} {damped}" for p in ratios if p.value > 1]
     unstable = ", ".join(p.name for p in ratios if p.is_negative)
     if unstable:
         text.append(f"{unstable} is negative: the identified system is unstable")
@@ -368,8 +361,7 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative
     damping, resonance beside it.
 
-    They do not wait for significance, which is for coefficients that may be zero. With a given mass the band
-    may lie beside the resonance; what a closed loop holds need have none.
+    With a given mass the band may lie beside the resonance; what a closed loop holds need have none.
     """
     if not setup.settings.kind.one_mode or not setup.settings.frees_mass:
         return []
@@ -439,7 +431,7 @@ BIAS, FALL, TOO_WIDE = 14.0, 1.6, 1.25
 
 def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
     """A warning where the block times the half-power width 2 zeta f_n [lines] of the most lightly damped mode
-    in the band is small; *whole*: K, C and M of the fitted model. Nothing without random data or modes there.
+    in the band is small; *whole*: K, C and M of the fitted model.
     """
     blocks = measured.blocks
     narrowest = None if blocks is None else _narrowest(measured, whole)

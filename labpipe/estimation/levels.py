@@ -4,7 +4,6 @@ linear.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -43,11 +42,13 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
             text = str(stated[levels[0]])
-            # "full" is no number, and not above or below any.
-            with contextlib.suppress(UnitError):
+            try:
                 level, unit = si_amount(text)
-                group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
-                group.append((level, text, fit))
+            except UnitError:
+                # "full" is no number, and not above or below any.
+                continue
+            group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
+            group.append((level, text, fit))
     new = dict(pair for group in groups.values() for pair in _of_group(group))
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 

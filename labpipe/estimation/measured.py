@@ -33,12 +33,10 @@ class Measured:
     noise_lines: lines with a common one (smoothed noise). change (n_line, n_output, n_input) [m/N]: of the
     second half of the record against the first, or None.
 
-    shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the
-    lines, c the correlation of their noise (a window spreads it over neighbours): factor on the variance of a
-    sum over lines, and on that of their powers. Where c is complex, lines do not add up and shared_noise is
-    the upper bound shared_power; where noise cancels between lines it is 1, since no estimate is a plain sum.
-    *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines with
-    gains of their own.
+    shared_noise, shared_power: mean over the lines of the sum of c and of c^2, c the correlation of their
+    noise (a window spreads it): factor on the variance of a sum over lines, and on that of their powers. For
+    complex c shared_noise is the upper bound shared_power; where noise cancels it is 1, since no estimate is
+    a plain sum. *line_noise*: that correlation, None for independent lines; *noise*: of lines with gains.
 
     *offset* (n_line,) [m/N]: what was taken off the measured form, on which a gain's error acts too; None for
     0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces first,

@@ -199,9 +199,8 @@ def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def by_lines(case: Case) -> Estimate:
-    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown: if
-    it grows with the response, its mean over the band is too small where the lines say most of damping. As it
-    is where lines share noise, and of another estimator.
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown and
+    lines share none: if it grows with the response, its mean is too small where lines say most of damping.
     """
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
     if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
@@ -306,9 +305,7 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
 
 
 def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
-    """No model error can be told from the coefficients: the excess over the noise is counted as noise; of
-    unknown noise, that of the residual, neighbours that are alike count as one.
-    """
+    """The excess over the noise counts as noise; of unknown noise, neighbours that are alike count as one."""
     away = best.values - judged.estimate.values
     if best.structure is None:
         at_minimum = replace(

@@ -1,6 +1,5 @@
-"""A test of several recordings, or hits, of the same FRFs: each is fitted alone, and the parameters are means
-of these repeats, with the part between them and the model error that they share. Where they follow the level
-of the force, they are stated at the middle one; where they drift, in the middle.
+"""A test of several recordings, or hits, of the same FRFs: each is fitted alone, and parameters are means of
+these repeats. What follows the level of the force is stated at the middle one, what drifts in the middle.
 """
 
 from __future__ import annotations
@@ -287,8 +286,8 @@ def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> fl
 
 
 def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter, ...]:
-    """The parameters of the aligned mean: the mean residual of all repeats on the curve of the pooled fit has
-    the model error that they share, and no longer what moved between them.
+    """Of the aligned mean: the mean residual of all repeats on the curve of the pooled fit has the model
+    error that they share, and no longer what moved between them.
     """
     curves = [fit.curve for fit in repeats if fit.curve is not None]
     if pooled.curve is None or len(curves) < len(repeats):

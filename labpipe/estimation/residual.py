@@ -41,12 +41,11 @@ def line_scatter(
     """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d
     / (D + 1).
 
-    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1]: real parts,
-    then imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife,
-    MacKinnon and White 1985). The degrees of freedom are those of a quadratic form of independent lines (Bell
-    and McCaffrey 2002, Survey Methodology 28:169). *alone*: the noise of every line is its own, so that D = 0
-    and only its size differs (HC3, MacKinnon and White 1985). numpy.linalg.LinAlgError for dependent columns.
-    Equation (est-line-scatter).
+    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1]: real before
+    imaginary parts. (1 - H_ll)^-1 undoes what the line takes from its own residual (jackknife, MacKinnon and
+    White 1985). Degrees of freedom of a quadratic form of independent lines (Bell and McCaffrey 2002, Survey
+    Methodology 28:169). *alone*: D = 0, lines differ in the size of their noise (HC3). LinAlgError for
+    dependent columns. Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)
@@ -116,10 +115,8 @@ class Structure:
 
 @dataclass(frozen=True)
 class Null:
-    """The noise that a residual is held against.
-
-    *shared*: its correlation from line to line, None for independent lines. *uneven*: its power is a + b
-    |H|^2 along the lines, with a and b from the residual, else the same at all. *n_draw*: most draws.
+    """The noise that a residual is held against: *shared* from line to line, None for independent lines;
+    *uneven*: of the power a + b |H|^2, a and b from the residual, else even. *n_draw*: most draws.
     """
 
     shared: SharedNoise | None = None
@@ -131,10 +128,8 @@ def residual_structure(
     residual: FloatArray, jacobian: FloatArray, size: FloatArray, null: Null | None = None
 ) -> Structure | None:
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per
-    parameter unit].
-
-    *size* (n_line, n_element) [m/N]: amplitude of the response. Real parts line by line stand before
-    imaginary ones. None where the lines are too few for any structure. Equation (est-structure).
+    parameter unit]; *size* (n_line, n_element) [m/N] of the response. None of too few lines. Equation
+    (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + DEGREE + 1:

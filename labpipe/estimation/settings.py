@@ -36,13 +36,12 @@ class ModelKind:
     """How fits of a model are made, and what is true of it.
 
     fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak.
-    section: key of the model's own *settings* in a fit, and an *example* of it, *optional* where all have
-    defaults. earlier: name of the fit whose result this one begins with, or empty; begin: the settings with
-    that result among *fits*.
+    section: key of the model's own *settings*, and an *example*, *optional* where all have defaults. earlier:
+    name of the fit whose result this one begins with; begin: the settings with that result among *fits*.
 
     keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood:
-    those that only an estimator by likelihood takes. estimators: names of those that fit it; empty: any.
-    equations: of a model linear in its parameters, from ports and settings; else None.
+    those that only an estimator by likelihood takes. estimators that fit it; empty: any. equations of a model
+    linear in its parameters, from ports and settings.
 
     one_frf: k, c and m of one FRF. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes: the
     modes of its K, C and M are derived. one_direction: uncoupled stiffness and damping for each direction.

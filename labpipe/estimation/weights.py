@@ -8,7 +8,6 @@ and Kraus 2000, IEE Proc. Radar 147:162).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -86,7 +85,7 @@ CACHED_TERMS = 1 << 16
 
 
 # A whitener (n_line, n, n) [N/m], its diagonals (n_line, n) where all else is zero, or its factors.
-Weights: TypeAlias = ComplexArray | ProductWeights
+Weights = ComplexArray | ProductWeights
 
 
 @dataclass(frozen=True)

@@ -364,9 +364,9 @@ def run_study(
 ) -> Study:
     """Every fit at every noise level and number of lines; *rig* is a virtual rig's settings.
 
-    The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the
-    same draws. *jobs*: processes, 0 for one per processor; a script that asks for several needs the usual `if
-    __name__ == "__main__"`. ConfigError for lines or runs that the rig does not have.
+    The noise of a repeat depends on the seed and its number alone, so all levels and fits see the same draws.
+    *jobs*: processes, 0 for one per processor; several need the usual `if __name__ == "__main__"` of a
+    script. ConfigError for lines or runs that the rig does not have.
     """
     plain = [replace(fit, compare=False) for fit in fits]
     counts: list[int | None] = [int(count) for count in settings.lines] or [None]

@@ -127,8 +127,8 @@ class Components:
 
     *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or
     larger scatter of settings without an effect of the setting (F test). *mean*: of the means of settings, by
-    *weights* (n,) [1] of the values; mean_error: of the settings' scatter alone, with *settings* - 1 degrees of
-    freedom.
+    *weights* (n,) [1] of the values; mean_error: of the settings' scatter alone, with *settings* - 1 degrees
+    of freedom.
     """
 
     weights: FloatArray
