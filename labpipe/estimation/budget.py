@@ -46,9 +46,8 @@ Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
 @dataclass(frozen=True)
 class Case:
-    """A fit as it was made: ports and settings, measured data, model and estimate.
-
-    *model_of* makes the model anew from other numbers.
+    """A fit as it was made: ports and settings, measured data, model and estimate. *model_of* makes the model
+    anew from other numbers.
     """
 
     setup: Setup
@@ -60,7 +59,6 @@ class Case:
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget | None:
     """The budget of reported *parameters*; None where no number has an uncertainty, or without convergence.
-
     Equation (unc-implicit).
     """
     sources = sources_of(case.setup, case.measured)
@@ -297,9 +295,8 @@ def _with_matrix(case: Case, matrix: ComplexArray) -> Case:
 
 
 def _change_of(effect: str, number: int, sign: float) -> Change:
-    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction.
-
-    *sign* -1 for a force, which divides.
+    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction. *sign* -1 for a
+    force, which divides.
     """
     if effect == "direction":
         return _change_of_direction(number, sign)

@@ -81,7 +81,6 @@ class CoefficientError:
         reported: Callable[[FloatArray, FloatArray], tuple[Parameter, ...]],
     ) -> tuple[Parameter, ...]:
         """The parameters with intervals that include the model error; std_error is that of noise alone.
-
         *reported*: all parameters of a fit from values (n,) and covariance (n, n) [parameter units].
         """
         wide, noise = (

@@ -59,9 +59,7 @@ class RationalFit:
     @cached_property
     def basis(self) -> ComplexArray:
         """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary,
-        as powers of j w are.
-
-        Powers themselves are so alike that normal equations would lose all digits.
+        as powers of j w are. Powers themselves are so alike that normal equations would lose all digits.
         """
         w = self.measured.omega / np.max(self.measured.omega)
         even = np.linalg.qr(np.vander(w**2, self.modes + 1, increasing=True))[0]
@@ -93,9 +91,8 @@ class RationalFit:
         return -self._whiten(self._columns(fitted, 1 / denominator)).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,).
-
-        Infinite without finite response.
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,). Infinite without finite
+        response.
         """
         return sum_of_squares(self.residual, parameters)
 

@@ -56,9 +56,8 @@ def reported_fit(
     n_line: int,
     n_prior: int = 0,
 ) -> Fit:
-    """*estimate* and *parameters* as the Fit of results, without findings, notes and curve.
-
-    band [Hz]; n_line: frequency lines used; n_prior: equations that are no measurement.
+    """*estimate* and *parameters* as the Fit of results, without findings, notes and curve. band [Hz];
+    n_line: frequency lines used; n_prior: equations that are no measurement.
     """
     return Fit(
         name=settings.name,
@@ -86,9 +85,8 @@ def is_direct(name: str) -> bool:
 
 
 def correct(total: Estimated, settings: FitSettings) -> Estimated:
-    """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
-
-    The uncertainty of the support is a source of its own. Equation (est-corrected).
+    """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n. The
+    uncertainty of the support is a source of its own. Equation (est-corrected).
     """
     of_support = np.array([_of_support(name, settings) for name in total.names])
     divisor = np.array([float(settings.share) if unit in DIVIDED else 1.0 for unit in total.units])
@@ -187,9 +185,8 @@ def derived_parameters(
     total: Estimated, every: Estimated, model: BandModel, setup: Setup, dof: int
 ) -> list[Parameter]:
     """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), coefficients of
-    proportional damping, and totals beside support or share.
-
-    *every*: *total* with all coefficients that are tied or given. Equation (est-resonance).
+    proportional damping, and totals beside support or share. *every*: *total* with all coefficients that are
+    tied or given. Equation (est-resonance).
     """
     settings = setup.settings
     parameters: list[Parameter] = []
@@ -305,9 +302,8 @@ EVEN = 1e-3
 def reported_parameters(
     estimate: statistics.Estimate, model: BandModel, setup: Setup
 ) -> tuple[Parameter, ...]:
-    """Estimated and derived parameters with the uncertainty that noise leaves them.
-
-    Without convergence the values of the last step, without standard errors.
+    """Estimated and derived parameters with the uncertainty that noise leaves them. Without convergence the
+    values of the last step, without standard errors.
     """
     settings, vifs = setup.settings, statistics.inflation_factors(estimate.scaled_design)
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
@@ -376,9 +372,8 @@ def with_systematic(
     parameters: Sequence[Parameter], budget: Budget, dof: FloatArray | None = None
 ) -> tuple[Parameter, ...]:
     """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the
-    effective *dof* (n_parameter,) [1], by default those of the budget.
-
-    Sides of a lopsided interval are each widened by squares. Equation (unc-interval).
+    effective *dof* (n_parameter,) [1], by default those of the budget. Sides of a lopsided interval are each
+    widened by squares. Equation (unc-interval).
     """
     return tuple(
         _expand(parameter, float(systematic), float(of_parameter))

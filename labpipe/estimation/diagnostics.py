@@ -151,9 +151,8 @@ def remedy(group: Sequence[str]) -> str:
 def estimate_findings(
     estimate: Estimate, names: Sequence[str], n_line: int, units: Sequence[str] = (), cure: Remedy = remedy
 ) -> list[Finding]:
-    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines.
-
-    Its residual is judged in `mismatch`.
+    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines. Its residual is judged
+    in `mismatch`.
     """
     warnings: list[Finding] = []
     if not estimate.converged:
@@ -217,9 +216,7 @@ def _growth(
 
 def collinear_group(scaled_design: FloatArray, names: Sequence[str]) -> list[str]:
     """Parameters with most of their variance in weak directions of *scaled_design* (n_parameter, n_parameter)
-    [1].
-
-    Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
+    [1]. Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
     """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     floor = singular[0] * np.finfo(float).eps
@@ -256,9 +253,8 @@ def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
 
 
 def excess(estimate: Estimate) -> float | None:
-    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
-
-    Equation (est-excess).
+    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None. Equation
+    (est-excess).
     """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
@@ -359,9 +355,8 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
 
 def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], setup: Setup) -> list[Finding]:
     """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative
-    damping, resonance beside it.
-
-    With a given mass the band may lie beside the resonance; what a closed loop holds need have none.
+    damping, resonance beside it. With a given mass the band may lie beside the resonance; what a closed loop
+    holds need have none.
     """
     if not setup.settings.kind.one_mode or not setup.settings.frees_mass:
         return []

@@ -70,9 +70,8 @@ def _check_failed(key: str, n_fit: int, n: int) -> None:
 
 
 def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance.
-
-    Equation (est-bootstrap).
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation
+    (est-bootstrap).
     """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]

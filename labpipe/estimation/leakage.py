@@ -295,9 +295,8 @@ class SmearedModel:
         parameters: FloatArray,
         omega: FloatArray,  # noqa: ARG002 (the lines are the leakage's)
     ) -> ComplexArray:
-        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input).
-
-        Equation (frf-smeared).
+        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input). Equation
+        (frf-smeared).
         """
         return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
 

@@ -86,10 +86,9 @@ def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[
 
 
 def rotor_2dof_direct(setup: Setup) -> DynamicModel:
-    """Direct coefficients only: one spring and damper per axis, under the force's component F cos(a) or
-    F sin(a) (Lim et al. 2009, eq. 21-22).
-
-    ConfigError when the force's direction is not known, or has no part along a response.
+    """Direct coefficients only: one spring and damper per axis, under the force's component F cos(a) or F
+    sin(a) (Lim et al. 2009, eq. 21-22). ConfigError when the force's direction is not known, or has no part
+    along a response.
     """
     if len(setup.outputs) not in (1, 2):
         what = f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}"
@@ -267,9 +266,8 @@ PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s
 
 
 def form_view(form: str, settings: FitSettings) -> FormView:
-    """The view of a model on a response of that *form*.
-
-    ConfigError for a base without its motion, and for a transmissibility elsewhere.
+    """The view of a model on a response of that *form*. ConfigError for a base without its motion, and for a
+    transmissibility elsewhere.
     """
     if settings.kind.of_base and form != TRANSMISSIBILITY:
         other = f"and a motion as output; this FRF is of the form '{form}'"
@@ -288,9 +286,7 @@ def form_view(form: str, settings: FitSettings) -> FormView:
 
 def base_excited(setup: Setup) -> DynamicModel:
     """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows
-    no more.
-
-    ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
+    no more. ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
     if setup.shape != (1, 1):
         found = f"{labels(setup.outputs)} and {labels(setup.inputs)}"

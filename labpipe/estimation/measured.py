@@ -118,9 +118,8 @@ def measured_part(
     view: FormView | None = None,
 ) -> Measured:
     """The chosen part as receptance; *lines*: mask (n_frequency,) [-]; *view* of the form, its own by
-    default.
-
-    FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation (est-shared).
+    default. FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation
+    (est-shared).
     """
     frequency = response.frequency[lines]
     if not frequency.size:

@@ -241,9 +241,8 @@ class ModeModel:
         return np.concatenate([q, np.linalg.lstsq(rows.T, side, rcond=None)[0]]) if n_amplitude else theta
 
     def fitted(self, theta: FloatArray) -> Fitted:
-        """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,).
-
-        FitError where there is no minimum.
+        """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,). FitError where there is no
+        minimum.
         """
         weighted, values = self.curve.weighted, self.curve.values
 

@@ -187,16 +187,14 @@ class DynamicModel:
         )
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s].
-
-        Equation (est-stiffness).
+        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation
+        (est-stiffness).
         """
         return _dynamic_stiffness(self.whole(parameters), omega)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular.
-
-        Equation (est-receptance).
+        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular. Equation
+        (est-receptance).
         """
         whole = self.whole(parameters)
         return _regular(

@@ -42,7 +42,6 @@ NAMED = 0.25
 @dataclass(frozen=True)
 class StatedRow:
     """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset.
-
     *log*: of its logarithm.
     """
 
@@ -164,9 +163,8 @@ def model_error(
     measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings
 ) -> ModelError | None:
     """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None for
-    another kind, a band too narrow for its width, and random data whose leakage the fit models.
-
-    Unknown noise is the scatter of the residual's second differences.
+    another kind, a band too narrow for its width, and random data whose leakage the fit models. Unknown noise
+    is the scatter of the residual's second differences.
     """
     if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
         return None

@@ -93,9 +93,7 @@ class Regression:
 
     def instrumental(self, instruments: FloatArray) -> FloatArray:
         """(V^T A)^-1 V^T b (n_parameter,) [parameter units] of *instruments* V (n_parameter, n_equation), all
-        scaled by the lengths in between.
-
-        FitError where V is dependent.
+        scaled by the lengths in between. FitError where V is dependent.
         """
         product = (instruments @ self.rows.T) / np.outer(self.lengths, self.lengths)
         try:
@@ -128,9 +126,7 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
 
 def line_weights(measured: Measured, weight: str) -> FloatArray:
     """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s / |H| in the
-    equation of motion.
-
-    FitError for an unknown or zero noise. Equation (est-line-weights).
+    equation of motion. FitError for an unknown or zero noise. Equation (est-line-weights).
     """
     if weight == "none":
         return np.ones(measured.omega.size)
@@ -180,9 +176,8 @@ def equation_design(
     terms: ComplexArray, model: DynamicModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Triangular factor (n_parameter, n_parameter) [1] of the normalised regressors, and amplification
-    (n_parameter,) [parameter units].
-
-    An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
+    (n_parameter,) [parameter units]. An error dH adds Z dH to the equation of motion, which is as large as Z
+    H = B for dH as large as H.
     """
     lengths, triangle, _ = scaled_triangle(statistics.stacked_terms(terms).T)
     forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
@@ -213,9 +208,8 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
 
 
 def inverse_of(linear: Linearisation) -> FloatArray:
-    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation.
-
-    FitError for linearly dependent columns.
+    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation. FitError for
+    linearly dependent columns.
     """
     return _invert(linear.triangle, linear.scale, linear.n_equation)[0]
 

@@ -185,9 +185,8 @@ def drifts(values: FloatArray, variances: FloatArray, place: FloatArray) -> bool
 
 
 def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:
-    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter.
-
-    *columns* (n, n_column) [1].
+    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter. *columns* (n,
+    n_column) [1].
     """
     freedom = values.size - columns.shape[1]
 
@@ -205,9 +204,7 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
 
 def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
     """Value and variance q (X'WX)^-1_11 with q = sum w r^2 / (n - p), w = 1/(v + tau^2): the mean of a known
-    group.
-
-    *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation
+    group. *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation
     (repeats-group).
     """
     weights = 1 / (variances + paule_mandel(values, variances, columns))
@@ -218,9 +215,8 @@ def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray
 
 
 def groups_of(patterns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """The pattern that each of the *names* of recordings matches, which is its group.
-
-    ConfigError for a name that does not match one of them, and where all are of one group.
+    """The pattern that each of the *names* of recordings matches, which is its group. ConfigError for a name
+    that does not match one of them, and where all are of one group.
     """
     groups = []
     for name in names:

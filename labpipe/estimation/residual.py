@@ -105,7 +105,6 @@ SAID = (
 @dataclass(frozen=True)
 class Structure:
     """*p_value*: probability [1] of so much structure in noise, the best of all statistics counted once.
-
     *said*: what it looks like.
     """
 

@@ -115,9 +115,8 @@ class Sliding(Settings):
 
 @dataclass(frozen=True)
 class Support(Settings):
-    """Stiffness and damping of the support, subtracted from the direct coefficients.
-
-    Their uncertainties are sources of the budget.
+    """Stiffness and damping of the support, subtracted from the direct coefficients. Their uncertainties are
+    sources of the budget.
     """
 
     stiffness: Uncertain = setting(
@@ -129,9 +128,8 @@ class Support(Settings):
 @dataclass(frozen=True)
 class FitSettings(Settings):
     """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the
-    section that its model has.
-
-    *between*: scatter between repeats of a test, from the section ``uncertainty:``.
+    section that its model has. *between*: scatter between repeats of a test, from the section
+    ``uncertainty:``.
     """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))

@@ -69,9 +69,7 @@ class TransferMode:
 @dataclass(frozen=True)
 class DrivingMode(TransferMode):
     """H(w) = 1 / (k + j w c - w^2 m) + C + j D at a driving point: a mode, and a constant for those outside
-    the band.
-
-    Parameters: k [N/m], c [N.s/m], m [kg] of the mode, C and D [m/N]. Equation (est-driving-mode).
+    the band. Parameters: k [N/m], c [N.s/m], m [kg] of the mode, C and D [m/N]. Equation (est-driving-mode).
     """
 
     names: tuple[str, ...] = ("k", "c", "m", "residual_re", "residual_im")

@@ -27,9 +27,7 @@ CACHED_NUMBERS = 1 << 16
 @dataclass(frozen=True)
 class ProductWeights:
     """W_o (n_line, n_output, n_output) of the *outputs* and W_i (n_line, n_input, n_input) of the *inputs*,
-    their product [N/m]: FRFs H become uncorrelated as W_o H W_i^T.
-
-    Equation (est-product-weights).
+    their product [N/m]: FRFs H become uncorrelated as W_o H W_i^T. Equation (est-product-weights).
     """
 
     outputs: ComplexArray
@@ -252,7 +250,6 @@ def whitener(measured: Measured) -> ComplexArray:
 
 def fit_weights(measured: Measured) -> Weights:
     """The whitener, or equal weights where no noise is known; in the shortest form that the covariance has.
-
     FitError as for whitener.
     """
     if not has_noise(measured):
@@ -287,9 +284,8 @@ def _check_regular(measured: Measured, smallest: FloatArray) -> None:
 
 
 def singular_lines(measured: Measured) -> BoolArray:
-    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line.
-
-    FitError for a zero variance.
+    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line. FitError for a zero
+    variance.
     """
     scaled = _scale(measured)[1]
     return _is_singular(np.linalg.eigvalsh(scaled)[:, 0], scaled.shape[1])

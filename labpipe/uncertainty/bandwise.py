@@ -31,9 +31,7 @@ TwoTests = tuple[tuple[Fit, ...], tuple[Fit, ...]]
 
 def holm(p_values: FloatArray) -> FloatArray:
     """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid
-    under any dependence.
-
-    Equation (comp-holm).
+    under any dependence. Equation (comp-holm).
     """
     order = np.argsort(p_values)
     steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
@@ -102,10 +100,8 @@ def _parameters(settings: CompareSettings, fit: Fit) -> list[str]:
 
 
 def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]:
-    """Two-sided p-value of a difference, and the 95 % interval of the ratio.
-
-    It holds every ratio r for which b - r a is no larger than its error (Fieller 1954); None where a may be
-    zero.
+    """Two-sided p-value of a difference, and the 95 % interval of the ratio. It holds every ratio r for which
+    b - r a is no larger than its error (Fieller 1954); None where a may be zero.
     """
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
@@ -165,9 +161,8 @@ def _statement(
 
 
 def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]]) -> TwoTests:
-    """The fits of the two groups; *groups*: (test, its group).
-
-    ConfigError for a group without a test or with several.
+    """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with
+    several.
     """
     chosen = []
     for name in settings.groups:

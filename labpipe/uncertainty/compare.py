@@ -324,9 +324,8 @@ class Evidence:
 
 
 def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
-    """The comparison of the settings; *theory*: in place of their bearing file.
-
-    LabpipeError where the tests do not allow it.
+    """The comparison of the settings; *theory*: in place of their bearing file. LabpipeError where the tests
+    do not allow it.
     """
     evidence = replace(evidence, fits=tuple(fit.as_fitted for fit in evidence.fits))
     return comparison_kind(settings.kind).compare(

@@ -138,9 +138,7 @@ def equilibrium_paths(
     settings: EquilibriumSettings, matrix: comparison.ConditionMatrix, fits: Sequence[Fit]
 ) -> tuple[comparison.EquilibriumPath, ...]:
     """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests
-    of the matrix.
-
-    ConfigError where x or y is no displacement, or the load no force. Equation (comp-path).
+    of the matrix. ConfigError where x or y is no displacement, or the load no force. Equation (comp-path).
     """
     number = [axis.name for axis in matrix.axes].index(settings.load)
     if matrix.axes[number].unit != QUANTITIES["force"].si_unit:
@@ -165,9 +163,8 @@ def _path(
     points: Sequence[comparison.MatrixPoint],
     fits: Sequence[Fit],
 ) -> tuple[comparison.PathPoint, ...]:
-    """Rest positions with the slope of the parabola through each point and its neighbours.
-
-    At the ends, of the outer three.
+    """Rest positions with the slope of the parabola through each point and its neighbours. At the ends, of
+    the outer three.
     """
     rest = np.array([_rest(settings, point) for point in points])
     position, spread = rest[:, 0], rest[:, 1]
@@ -239,10 +236,8 @@ _Compliance = tuple[FloatArray, FloatArray, dict[str, FloatArray]]
 
 def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray] | None:
     """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its
-    covariance (2, 2).
-
-    Noise is independent from repeat to repeat; an error that repeats have in common does not shrink in their
-    mean.
+    covariance (2, 2). Noise is independent from repeat to repeat; an error that repeats have in common does
+    not shrink in their mean.
     """
     results = [result for fit in fits if (result := _compliance(settings, fit)) is not None]
     if not results:
@@ -256,9 +251,8 @@ def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatAr
 
 
 def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
-    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u.
-
-    None where a coefficient or an error is missing.
+    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u. None where a coefficient or an
+    error is missing.
     """
     estimated = [parameter.name for parameter in fit.parameters if not parameter.derived]
     if not all(name in estimated for name in STIFFNESS):
@@ -287,9 +281,8 @@ def _chance_of_slopes(
     difference: FloatArray, estimated: FloatArray, stated: FloatArray, dof: int
 ) -> float | None:
     """Probability of so large a difference (2,) [m/N] by its covariance (2, 2), of which a part was
-    *estimated* from scatter with *dof* degrees of freedom.
-
-    None without these, or where the whole is singular.
+    *estimated* from scatter with *dof* degrees of freedom. None without these, or where the whole is
+    singular.
     """
     covariance = estimated + stated
     if dof == 0 or not np.linalg.det(covariance) > 0:
@@ -311,9 +304,8 @@ def condition_matrix(
     conditions: Mapping[str, Mapping[str, Any]],
     theory: PointTheory | None = None,
 ) -> comparison.ConditionMatrix:
-    """The matrix of the settings; *conditions* of every test by its name.
-
-    ConfigError for an unknown fit, coefficient or condition, FitError where no test has a result.
+    """The matrix of the settings; *conditions* of every test by its name. ConfigError for an unknown fit,
+    coefficient or condition, FitError where no test has a result.
     """
     chosen = _choose(settings, fits)
     amounts = {

@@ -21,9 +21,8 @@ from labpipe.uncertainty.settings import CompareSettings
 
 @dataclass(frozen=True)
 class Observation:
-    """A parameter of a test's fit.
-
-    *condition* and *second* one in SI (NaN where the settings name none), *group* as written.
+    """A parameter of a test's fit. *condition* and *second* one in SI (NaN where the settings name none),
+    *group* as written.
     """
 
     fit: Fit
@@ -38,9 +37,8 @@ class Observation:
 
     @property
     def std_error(self) -> float:
-        """The standard error of this test alone, without errors that tests have in common.
-
-        FitError for a parameter without one.
+        """The standard error of this test alone, without errors that tests have in common. FitError for a
+        parameter without one.
         """
         error = random_error(self.fit, self.parameter)
         if error is None:
@@ -109,9 +107,8 @@ class Campaign:
 
     @property
     def relative(self) -> FloatArray:
-        """Relative standard error of every test alone, (n_test,) [1].
-
-        FitError for a value that is not above zero.
+        """Relative standard error of every test alone, (n_test,) [1]. FitError for a value that is not above
+        zero.
         """
         return np.array([observation.relative for observation in self.observations])
 
@@ -158,9 +155,8 @@ def campaign_of(
     parameter: str = "",
 ) -> Campaign:
     """The observations of the settings, sorted by condition; *conditions* of every test by its name;
-    *parameter*: in place of theirs.
-
-    ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
+    *parameter*: in place of theirs. ConfigError for an unknown fit, term, parameter or condition; FitError
+    for fewer than two tests.
     """
     chosen = _choose(settings, fits)
     none = "", np.full(len(chosen), np.nan)
@@ -239,9 +235,8 @@ def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]
 def amounts_of(
     name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]
 ) -> tuple[str, FloatArray]:
-    """A condition of the tests of all *fits*: its SI unit, and values (n_fit,) in it [that unit].
-
-    ConfigError where it has several units.
+    """A condition of the tests of all *fits*: its SI unit, and values (n_fit,) in it [that unit]. ConfigError
+    where it has several units.
     """
     pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
     units = sorted({unit for _, unit in pairs})
@@ -252,9 +247,8 @@ def amounts_of(
 
 
 def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
-    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N").
-
-    ConfigError for what is no amount.
+    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"). ConfigError for what is no
+    amount.
     """
     try:
         return si_amount(_condition(name, test, conditions))

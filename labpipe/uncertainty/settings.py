@@ -283,9 +283,8 @@ class CompareSettings(Settings):
 
 
 def comparison_kind(name: str) -> ComparisonKind:
-    """The kind of comparison of that name.
-
-    A plug-in's function counts as one that takes every key, over one condition.
+    """The kind of comparison of that name. A plug-in's function counts as one that takes every key, over one
+    condition.
     """
     entry = COMPARISONS.load(name)
     if isinstance(entry, ComparisonKind):

@@ -145,10 +145,7 @@ def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSet
 def source_of(
     rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None
 ) -> Source:
-    """The source of a virtual rig at a noise level.
-
-    ConfigError for lines or runs that the rig does not have.
-    """
+    """The source of a virtual rig at a noise level; ConfigError for lines or runs that it does not have."""
     kind = kind_of(rig)
     if kind.response is None and kind.recordings is None:
         raise ConfigError(
@@ -246,9 +243,8 @@ def summarise(
     noise: float,
     lines: int,
 ) -> StudyCase:
-    """One fit over all repeats; ConfigError where the rig states none of its parameters.
-
-    Equation (comp-study).
+    """One fit over all repeats; ConfigError where the rig states none of its parameters. Equation
+    (comp-study).
     """
     ended = [outcome for outcome in outcomes if outcome.parameters]
     results = [outcome for outcome in ended if outcome.converged]
@@ -281,9 +277,7 @@ def summarise(
 
 def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
     """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true|
-    of all together.
-
-    Equation (comp-success).
+    of all together. Equation (comp-success).
     """
     names = _names(outcomes, truth)
     return float(np.mean([_succeeded(outcome, names, settings, truth, limit) for outcome in outcomes]))
@@ -300,9 +294,7 @@ def _succeeded(
 
 def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings: FitSettings) -> float:
     """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its
-    places.
-
-    Equation (comp-squared-error).
+    places. Equation (comp-squared-error).
     """
     values = {parameter.name: parameter.value for parameter in outcome.parameters}
     deviations = np.array([values.get(name, 0.0) - truth[name] for name in names])

@@ -206,9 +206,7 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
 
 def repeatability(campaign: Campaign) -> Comparison:
     """Variance components of the parameter, and a test of the scatter within settings against the fits'
-    standard errors.
-
-    Equation (comp-repeatability).
+    standard errors. Equation (comp-repeatability).
     """
     settings, unit = campaign.settings, campaign.unit
     groups = np.array([observation.group for observation in campaign.observations])
