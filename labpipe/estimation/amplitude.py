@@ -142,7 +142,6 @@ def _physical(x: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _goodness(problem: _Amplitudes, values: FloatArray, dof: int) -> Goodness:
-    """R^2 of the amplitudes, and chi-square of their residual for a known noise."""
     residual, amplitude = problem.residual(values), problem.amplitude
     scaled = problem.scaled(amplitude)
     total = float(np.sum((scaled - scaled.mean()) ** 2))

@@ -28,18 +28,10 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import equation_solution, instrument_step, regression, solve_scaled
 from labpipe.estimation.settings import FitSettings, Support
 from labpipe.estimation.statistics import Estimate, Stated, pulls_of
-from labpipe.estimation.weights import (
-    Weights,
-    equal_weights,
-    fit_weights,
-    has_noise,
-    weight_uncertainty,
-    whitener,
-)
+from labpipe.estimation.weights import Weights, fit_weights, has_noise, weight_uncertainty
 from labpipe.records import uncertain
 from labpipe.records.finding import Contribution, IntervalParts, Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
 
 # Standard errors from a minimum below which an estimate is the minimum.
@@ -54,9 +46,8 @@ Refit = Callable[[Setup, BandModel, Measured], tuple[Parameter, ...]]
 
 @dataclass(frozen=True)
 class Case:
-    """A fit as it was made: ports and settings, measured data, model and estimate.
-
-    *model_of* makes the model anew from other numbers.
+    """A fit as it was made: ports and settings, measured data, model and estimate. *model_of* makes the model
+    anew from other numbers.
     """
 
     setup: Setup
@@ -68,7 +59,6 @@ class Case:
 
 def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget | None:
     """The budget of reported *parameters*; None where no number has an uncertainty, or without convergence.
-
     Equation (unc-implicit).
     """
     sources = sources_of(case.setup, case.measured)
@@ -103,14 +93,12 @@ def full_errors(parameters: Sequence[Parameter]) -> FloatArray:
 
 
 def _model_of(case: Case, changed: Case) -> BandModel:
-    """The model of a *changed* case, made anew where its numbers are not those of *case*."""
     return case.model if changed.setup is case.setup else case.model_of(changed.setup)
 
 
 def _slopes(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], values: Callable[[Case], FloatArray]
 ) -> FloatArray:
-    """Changes (n_source, n) of *values* (n,) by one standard uncertainty of each source."""
     sizes = [SHARE * uncertainty.std_error for uncertainty, _ in sources]
     ends = [
         (values(change(case, size)), values(change(case, -size)))
@@ -127,8 +115,8 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     """The fit with stated numbers where data and statements together have them, the sources, and what these
     still change of its residual.
 
-    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers and what the parameters follow of
-    these: far above the noise it is not linear. Of unknown noise as it was made. FitError as `solve_scaled`.
+    Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers, which far above the noise is not
+    linear. Of unknown noise as it was made. FitError as `solve_scaled`.
     """
     sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
@@ -164,7 +152,6 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
 def _move(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], at: FloatArray, values: FloatArray
 ) -> Case:
-    """The fit with every source *at* (n_source,) [standard uncertainties] and *values* (n_parameter,)."""
     moved = case
     for (uncertainty, change), amount in zip(sources, at, strict=True):
         moved = change(moved, amount * uncertainty.std_error)
@@ -228,8 +215,7 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
     """The fit with combined and expanded uncertainty, and the sources, of parameters that given numbers make
-    uncertain. *coverage* [1]: probability of the expanded one, by Student's t with the effective degrees of
-    freedom.
+    uncertain. *coverage* [1] of the expanded one, by Student's t with the effective degrees of freedom.
     """
     stated = fit.parameters if fit.budget is None else contribute(fit.parameters, fit.budget, coverage)
     return replace(fit, parameters=tuple(map(_with_interval_parts, stated)))
@@ -294,7 +280,6 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[uncertain.Uncerta
 
 
 def _together(entries: Sequence[tuple[uncertain.Uncertainty, Change]]) -> Change:
-    """All changes of one source by the same number of standard uncertainties."""
     first = entries[0][0].std_error
 
     def change(case: Case, error: float) -> Case:
@@ -306,14 +291,12 @@ def _together(entries: Sequence[tuple[uncertain.Uncertainty, Change]]) -> Change
 
 
 def _with_matrix(case: Case, matrix: ComplexArray) -> Case:
-    """The case with another measured *matrix* (n_line, n_output, n_input) [m/N]."""
     return replace(case, measured=replace(case.measured, matrix=matrix))
 
 
 def _change_of(effect: str, number: int, sign: float) -> Change:
-    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction.
-
-    *sign* -1 for a force, which divides.
+    """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction. *sign* -1 for a
+    force, which divides.
     """
     if effect == "direction":
         return _change_of_direction(number, sign)
@@ -332,8 +315,7 @@ def _change_of(effect: str, number: int, sign: float) -> Change:
 
 def _change_of_direction(number: int, sign: float) -> Change:
     """Another direction of a force, of which the model knows; or of a sensor, which then reads the motion
-    across it too. Without another of known direction beside it, it is turned in the model, as if the motion
-    were alike in all directions.
+    across it too. Without another one to tell that, the motion counts as alike in all directions.
     """
 
     def change(case: Case, error: float) -> Case:
@@ -357,9 +339,8 @@ def _change_by(matrix_error: uncertain.MatrixError) -> Change:
 
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
-    """The setup with an output (*sign* 1) or a force in another direction; a port without one stays."""
     side = "outputs" if sign > 0 else "inputs"
-    ports: list[Port] = list(getattr(setup, side))
+    ports = list(getattr(setup, side))
     angle = ports[number].angle
     ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
     changed: dict[str, Any] = {side: tuple(ports)}
@@ -444,9 +425,8 @@ def likelihood_step(case: Case) -> Step:
 
 
 def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    """Weights, Jacobian (n_equation, n_parameter) and residual (n_equation,) of the output error there."""
     measured, values = case.measured, case.estimate.values
-    weights = whitener(measured) if has_noise(measured) else equal_weights(measured)
+    weights = fit_weights(measured)
     problem = OutputError(measured, expected(measured, case.model), weights)
     return weights, problem.jacobian(values), problem.residual(values)
 
@@ -461,10 +441,8 @@ def with_repeat_sources(
     conditions: Mapping[str, Any],
     coverage: float,
 ) -> Fit:
-    """The fit with the scatter between repeats in its budget; *coverage* [1] of expanded uncertainties. One
-    source changes one parameter, since repeats of one coefficient do not tell how others go with it.
-
-    ConfigError for a test without the condition that its errors go by.
+    """The fit with the scatter between repeats in its budget, of one parameter each; *coverage* [1] of
+    expanded uncertainties. ConfigError for a test without the condition that its errors go by.
     """
     names = [parameter.name for parameter in fit.parameters]
     counted = [_source(source, fit, test, conditions) for source in sources if source.parameter in names]

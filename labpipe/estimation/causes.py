@@ -81,13 +81,8 @@ MOST_STEPS = 40
 TOLERANCE = 0.01
 
 
-@dataclass(frozen=True)
-class _FreeFit:
-    """Fit with free mass: all values, their covariance, and the degrees of freedom behind it."""
-
-    values: FloatArray
-    covariance: FloatArray
-    dof: float
+# A fit with free mass: all values, their covariance, and the degrees of freedom behind it.
+_FreeFit = tuple[FloatArray, FloatArray, float]
 
 
 def mass_findings(
@@ -96,10 +91,9 @@ def mass_findings(
     """A finding where the data contradict the given mass; *values* (n_parameter,) [parameter units] of the
     fit with it.
 
-    Whatever the estimator, the mass is freed in an output-error fit, which noise does not bias. No finding
-    where the mass was not given, or the forces' factors are estimated too: the curve knows ratios only then.
-    Nor in sliding bands, where stiffness that changes with frequency looks like another mass. What *stated*
-    numbers change adds to the uncertainty of the free mass. Equation (est-mass).
+    The mass is freed in an output-error fit, which noise does not bias. None where the forces' factors are
+    estimated too: the curve knows ratios only then; nor in sliding bands, where stiffness that changes with
+    frequency looks like another mass. *stated* numbers add to its uncertainty. Equation (est-mass).
     """
     freed = _free(model, setup)
     if freed is None or setup.settings.sliding is not None:
@@ -138,9 +132,9 @@ def _free(model: DynamicModel, setup: Setup) -> tuple[DynamicModel, FloatArray] 
 def _free_fit(
     measured: Measured, model: DynamicModel, start: FloatArray, stated: Stated | None
 ) -> _FreeFit | None:
-    """The fit from *start* (n_parameter,); None where the data cannot tell the mass. Its covariance is that
-    of the measured noise where this explains the residual, else of the residual's scatter along the lines; of
-    a measured excess the free mass must explain most, or something else is wrong.
+    """None where the data cannot tell the mass. The covariance is of the measured noise where this explains
+    the residual, else of the residual's scatter along the lines; of a measured excess the free mass must
+    explain most, or something else is wrong.
     """
     weighted = has_noise(measured)
     if measured.n_equation <= start.size:
@@ -161,13 +155,13 @@ def _free_fit(
                 by_stated = pulls_of(residual, changes, jacobian, inverse, uncertainty.inflation).explained
             after, of_noise = linear.chi2 - by_stated, dof * uncertainty.excess
             if uncertainty.p_value(after / of_noise, dof) >= CONTRADICTED_P:
-                return _FreeFit(minimum.values, uncertainty.inflation * inverse + steps.T @ steps, dof)
+                return minimum.values, uncertainty.inflation * inverse + steps.T @ steps, dof
             if after - of_noise > (1 - EXPLAINED) * (problem.chi2(start) - of_noise):
                 return None
         scatter = line_scatter(jacobian, residual, measured.omega.size)
     except (FitError, np.linalg.LinAlgError):
         return None
-    return _FreeFit(minimum.values, scatter.covariance + steps.T @ steps, float(np.min(scatter.dof)))
+    return minimum.values, scatter.covariance + steps.T @ steps, float(np.min(scatter.dof))
 
 
 def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> float:
@@ -181,21 +175,21 @@ def _p_value(fit: _FreeFit, given: FloatArray) -> float:
     """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE:
     Hotelling's T^2 of all together.
     """
-    n = given.size
-    covariance, off, limits = fit.covariance[-n:, -n:], fit.values[-n:] - given, TOLERANCE * given
+    n, (values, whole, dof) = given.size, fit
+    covariance, off, limits = whole[-n:, -n:], values[-n:] - given, TOLERANCE * given
     if not np.any(covariance):
         # FRFs that the model meets to the last digit.
         return 1.0 if np.all(np.abs(off) <= limits) else 0.0
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    square, rest = _least_square(whiten, off, limits), fit.dof - n + 1
-    return f_tail(square * rest / (fit.dof * n), n, rest) if rest > 0 and square > 0 else 1.0
+    square, rest = _least_square(whiten, off, limits), dof - n + 1
+    return f_tail(square * rest / (dof * n), n, rest) if rest > 0 and square > 0 else 1.0
 
 
 def _message(
     model: DynamicModel, given: FloatArray, fit: _FreeFit, values: FloatArray, p_value: float, setup: Setup
 ) -> str:
     n = given.size
-    free = correct(Estimated(model.names, model.units, fit.values, fit.covariance), setup.settings)
+    free = correct(Estimated(model.names, model.units, *fit[:2]), setup.settings)
     exact = np.zeros((values.size, values.size))
     before = correct(Estimated(model.names[:-n], model.units[:-n], values, exact), setup.settings)
     masses = ", ".join(
@@ -261,8 +255,8 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     """The channel whose delay explains a residual that is far from noise, with the finding; *values*
     (n_parameter,) [parameter units] of the fit.
 
-    Of each response, with several also of each force, the delay is fitted beside all parameters, from the
-    best of a grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
+    The delay of each response, of several forces too, is fitted beside all parameters from the best of a
+    grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
     """
     if not has_noise(measured):
         return {}
@@ -287,10 +281,10 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
 def _best_of_grid(
     measured: Measured, model: DynamicModel, values: FloatArray, late: BoolArray
 ) -> list[tuple[float, OutputError[DelayedModel], FloatArray]]:
-    """The least chi-square of a grid of delays beside the *values* of the fit, its problem, and its place.
+    """The least chi-square of a grid of delays, its problem, and its place.
 
-    Of one FRF beside those of least squares with each delay as well, and a second place a quarter of a period
-    and more away: half a period off, a mode has the same course with the other signs.
+    Of one FRF beside least squares with each delay as well, and a second place a quarter of a period and more
+    away: half a period off, a mode has the same course with the other signs.
     """
     omega = measured.omega
     delayed = DelayedModel(expected(measured, model), late)
@@ -325,7 +319,6 @@ def is_late(delay: float, error: float, highest: float) -> bool:
 
 
 def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
-    """Name and elements (n_output, n_input) of every channel that may be late."""
     shape = measured.matrix.shape[1:]
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     row, column = np.indices(shape)
@@ -344,7 +337,6 @@ def _delay(
     start: FloatArray,
     name: str,
 ) -> tuple[float, Finding] | None:
-    """chi-square with the delay of a channel, and the finding; None if it explains too little."""
     highest = float(measured.omega[-1])
     if measured.n_equation <= start.size:
         return None
@@ -372,9 +364,9 @@ def delay_finding(
     of_fit: Iterable[tuple[str, str, float, float]],
     cure: str = "",
 ) -> Finding:
-    """The finding of a channel *name* that is late by *delay* [s] with its error; *reduced*: chi-square per
-    degree of freedom without and with it; *of_fit*: name, unit, value and error of every parameter with it;
-    *cure*: what else may explain it.
+    """A channel *name* that is late by *delay* [s] with its error; *reduced*: chi-square per degree of
+    freedom without and with it; *of_fit*: name, unit, value and error of every parameter; *cure*: what else
+    may explain it.
     """
     changed = ", ".join(
         f"{name} = {_amount(value, unit, std_error)}"
@@ -419,9 +411,9 @@ def drift_findings(
     """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter
     units] of the fit.
 
-    Shapes: the gain of every channel, all stiffness or all damping by one factor, each by itself, and all
-    parameters together; p-values are for the best of all, in *n_band* bands of one record (Bonferroni). None
-    where the halves or the noise are not known. Equation (est-drift).
+    Shapes: the gain of every channel, all stiffness or all damping by one factor, and all parameters
+    together; p-values are for the best of all in *n_band* bands (Bonferroni). None where the halves or the
+    noise are not known. Equation (est-drift).
     """
     if measured.change is None or not has_noise(measured):
         return []
@@ -469,7 +461,6 @@ def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list
 
 
 def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
-    """The gain of every channel; of a single force and a single response only the one of both."""
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     if len(outputs) == len(inputs) == 1:
         return [(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
@@ -479,7 +470,6 @@ def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_
 
 
 def _basis(shapes: FloatArray) -> FloatArray:
-    """Orthonormal rows (rank, n_equation) that span *shapes* (n_shape, n_equation)."""
     lengths = np.linalg.norm(shapes, axis=1)
     _, singular, rows = np.linalg.svd(shapes[lengths > 0] / lengths[lengths > 0, None], full_matrices=False)
     return np.asarray(rows[singular > SAME_SHAPE * singular[0]])

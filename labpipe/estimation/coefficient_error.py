@@ -1,10 +1,9 @@
 """What a fit of several coefficients states where its residual is not noise: intervals that include the model
 error.
 
-vec H = h(p) + D z + n on the lines of all FRFs together: n the noise, as large as measured or larger, and D z
-a course of discrepancy, of the types of one mode: a in every FRF by itself (other modes), m of every response
-and every force (gain), z of every element of the dynamic stiffness (its law, drift), U of a stiffness that
-moves meanwhile. Courses are smooth functions of few numbers z.
+vec H = h(p) + D z + n on the lines of all FRFs: n the noise, as large as measured or larger, and D z a smooth
+course of discrepancy: a in every FRF by itself (other modes), m of every response and force (gain), z of
+every element of the dynamic stiffness (its law, drift), U of a stiffness that moves meanwhile.
 """
 
 from __future__ import annotations
@@ -82,7 +81,6 @@ class CoefficientError:
         reported: Callable[[FloatArray, FloatArray], tuple[Parameter, ...]],
     ) -> tuple[Parameter, ...]:
         """The parameters with intervals that include the model error; std_error is that of noise alone.
-
         *reported*: all parameters of a fit from values (n,) and covariance (n, n) [parameter units].
         """
         wide, noise = (
@@ -174,9 +172,7 @@ def coefficient_error(
 
 
 def averaged_error(misfit: Misfit) -> CoefficientError | None:
-    """The average over all courses, linearised until its mean stays; None for too few lines, or without
-    solution.
-    """
+    """The average over all courses; None for too few lines, or without solution."""
     if misfit.omega.size < FEWEST_LINES:
         return None
     try:
@@ -195,8 +191,6 @@ def averaged_error(misfit: Misfit) -> CoefficientError | None:
 
 @dataclass
 class _Scene:
-    """The fit that courses are held against, and what it makes of them once."""
-
     misfit: Misfit
 
     def __post_init__(self) -> None:
@@ -434,7 +428,6 @@ def _evidence(
 
 
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
-    """Re sum conj(first) second over lines and elements, (n_first, n_second)."""
     left, right = (part.reshape(-1, part.shape[-1]) for part in (first, second))
     return np.asarray((left.conj().T @ right).real)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -60,9 +59,7 @@ class RationalFit:
     @cached_property
     def basis(self) -> ComplexArray:
         """phi_0 ... phi_2n on the lines, (n_line, 2 n + 1) [1]: the even ones real, the odd ones imaginary,
-        as powers of j w are.
-
-        Powers themselves are so alike that normal equations would lose all digits.
+        as powers of j w are. Powers themselves are so alike that normal equations would lose all digits.
         """
         w = self.measured.omega / np.max(self.measured.omega)
         even = np.linalg.qr(np.vander(w**2, self.modes + 1, increasing=True))[0]
@@ -94,9 +91,8 @@ class RationalFit:
         return -self._whiten(self._columns(fitted, 1 / denominator)).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,).
-
-        Infinite without finite response.
+        """Sum of squares [1] of the residual at *parameters* (n_parameter,). Infinite without finite
+        response.
         """
         return sum_of_squares(self.residual, parameters)
 
@@ -141,7 +137,6 @@ class RationalFit:
         return self.basis[:, :n] @ parameters[:n] + self.basis[:, n]
 
     def _fit(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """A (n_line,) and B / A (n_line, n_element)."""
         n = 2 * self.modes
         denominator = self._denominator(parameters)
         numerators = self.basis[:, : n - 1] @ parameters[n:].reshape(-1, n - 1).T
@@ -165,7 +160,6 @@ class RationalFit:
 
     @cached_property
     def _products(self) -> ComplexArray:
-        """conj(phi_a) phi_b, (2 n, 2 n, n_line)."""
         basis = self.basis[:, :-1].T
         return basis.conj()[:, None] * basis[None]
 
@@ -202,7 +196,6 @@ class RationalFit:
         return (products.real @ values.real - products.imag @ values.imag).reshape(rows, columns, -1)
 
     def _whiten(self, values: ComplexArray) -> FloatArray:
-        """(..., n_line, n_element) -> (..., n_equation), back in the unit of the FRF."""
         return whitened(self.whitener, self.unit * values[..., None])
 
 
@@ -214,8 +207,6 @@ MOST_COMPARED_STEPS = 40
 
 @dataclass(frozen=True)
 class _Variant:
-    """A model to compare: its name, settings, and the names of richer variants that contain it."""
-
     name: str
     settings: FitSettings
     inside: tuple[str, ...] = ()
@@ -292,7 +283,6 @@ def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
 
 
 def _variants(settings: FitSettings) -> list[_Variant]:
-    """Alternatives: with and without cross terms, mass, symmetry, proportional damping."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
     richer = _richer(plain)
     this = _Variant(f"{THIS}: {_description(plain)}", plain, tuple(variant.name for variant in richer))
@@ -336,10 +326,11 @@ def _simpler(settings: FitSettings) -> list[_Variant]:
 
 
 def _changes(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
-    """The settings with each of the changes, where another model or key takes all of the others."""
     for change in changes:
-        with contextlib.suppress(ConfigError):
+        try:
             yield replace(settings, **change)
+        except ConfigError:
+            continue
 
 
 def _description(settings: FitSettings) -> str:
@@ -365,7 +356,6 @@ def _estimate(measured: Measured, model: DynamicModel | FactorModel) -> Estimate
 def _candidate(
     name: str, measured: Measured, squares: float | None, n_parameter: int, dof: int
 ) -> Candidate | None:
-    """Name, parameters, chi-square and AIC of a fit by the sum of its *squares*; None without a minimum."""
     if squares is None:
         return None
     # Differences between models follow the covariance of parameters, not the residual's expectation.

@@ -145,8 +145,7 @@ class FactorModel:
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
         expanded = self.expanded.jacobian(self.expanded_values(parameters), omega)
-        jacobian: ComplexArray = np.tensordot(self.slopes(parameters).T, expanded, 1)
-        return jacobian
+        return np.asarray(np.tensordot(self.slopes(parameters).T, expanded, 1))
 
     def whole(self, parameters: FloatArray) -> Matrices:
         """K [N/m], C [N.s/m], M [kg] and B of *parameters* (..., n_parameter)."""

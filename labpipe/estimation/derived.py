@@ -56,9 +56,8 @@ def reported_fit(
     n_line: int,
     n_prior: int = 0,
 ) -> Fit:
-    """*estimate* and *parameters* as the Fit of results, without findings, notes and curve.
-
-    band [Hz]; n_line: frequency lines used; n_prior: equations that are no measurement.
+    """*estimate* and *parameters* as the Fit of results, without findings, notes and curve. band [Hz];
+    n_line: frequency lines used; n_prior: equations that are no measurement.
     """
     return Fit(
         name=settings.name,
@@ -80,17 +79,14 @@ def reported_fit(
 def is_direct(name: str) -> bool:
     """True for a coefficient in the direction of its own motion: k, c, m, k_xx, c_yy, k_1_1, m_2_2."""
     letter, _, place = name.partition("_")
-    if letter not in ("k", "c", "m"):
-        return False
-    half = (len(place) - 1) // 2 if "_" in place else len(place) // 2
-    return not place or place[:half] == place[-half:]
+    half = len(place) // 2
+    between = "_" if "_" in place else ""
+    return letter in ("k", "c", "m") and place == f"{place[:half]}{between}{place[:half]}"
 
 
 def correct(total: Estimated, settings: FitSettings) -> Estimated:
-    """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n.
-
-    The covariance is that of the estimates; the uncertainty of the support is a source of its own, common to
-    all direct coefficients and to all tests. Equation (est-corrected).
+    """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n. The
+    uncertainty of the support is a source of its own. Equation (est-corrected).
     """
     of_support = np.array([_of_support(name, settings) for name in total.names])
     divisor = np.array([float(settings.share) if unit in DIVIDED else 1.0 for unit in total.units])
@@ -99,7 +95,6 @@ def correct(total: Estimated, settings: FitSettings) -> Estimated:
 
 
 def _of_support(name: str, settings: FitSettings) -> float:
-    """What of a coefficient is the support's [its unit]: nothing of those that are not direct."""
     support = settings.subtract or Support()
     amounts = {"k": support.stiffness.value, "c": support.damping.value}
     return amounts.get(name[0], 0.0) if is_direct(name) else 0.0
@@ -121,9 +116,8 @@ class Modes:
     """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
     frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping
-    (n_case, n_mode) = -Re lambda / |lambda|; of the undamped system shapes (n_case, n_dof, n_mode), the first
-    large entry 1, and participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r /
-    (w_r^2 - w^2).
+    -Re lambda / |lambda|; of the undamped system shapes (n_case, n_dof, n_mode), the first large entry 1, and
+    participation (n_case, n_mode, n_input) [1/kg]: H = sum_r shape_r participation_r / (w_r^2 - w^2).
     """
 
     frequency: FloatArray
@@ -190,10 +184,9 @@ STEP, SMALLEST_STEP = 1e-3, 1e-7
 def derived_parameters(
     total: Estimated, every: Estimated, model: BandModel, setup: Setup, dof: int
 ) -> list[Parameter]:
-    """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), damping coefficients of
-    proportional damping, and totals where support or share changed the coefficients.
-
-    *every*: *total* and with it all coefficients that are tied or given. Equation (est-resonance).
+    """f_n and zeta (sdof, base), modes (mdof), forcing angle (rotor-2dof, one force), coefficients of
+    proportional damping, and totals beside support or share. *every*: *total* with all coefficients that are
+    tied or given. Equation (est-resonance).
     """
     settings = setup.settings
     parameters: list[Parameter] = []
@@ -309,9 +302,8 @@ EVEN = 1e-3
 def reported_parameters(
     estimate: statistics.Estimate, model: BandModel, setup: Setup
 ) -> tuple[Parameter, ...]:
-    """Estimated and derived parameters with the uncertainty that noise leaves them.
-
-    Without convergence the values of the last step, without standard errors.
+    """Estimated and derived parameters with the uncertainty that noise leaves them. Without convergence the
+    values of the last step, without standard errors.
     """
     settings, vifs = setup.settings, statistics.inflation_factors(estimate.scaled_design)
     total = Estimated(model.names, model.units, estimate.values, estimate.covariance)
@@ -363,8 +355,8 @@ def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
 def widened_parameters(
     parameters: Sequence[Parameter], plain: Sequence[Parameter], wide: Sequence[Parameter]
 ) -> tuple[Parameter, ...]:
-    """Intervals and significance as much wider as the standard errors of *wide* are than those of *plain*,
-    all in one order; none narrower, as where errors of two parameters compensate in a derived one.
+    """Intervals and significance as much wider as standard errors of *wide* are than those of *plain*; none
+    narrower, as where errors of two parameters compensate in a derived one.
     """
     factors = [
         (after.std_error or 0.0) / (before.std_error or np.inf)
@@ -380,10 +372,8 @@ def with_systematic(
     parameters: Sequence[Parameter], budget: Budget, dof: FloatArray | None = None
 ) -> tuple[Parameter, ...]:
     """The parameters with combined standard uncertainties and expanded intervals, by Student's t with the
-    effective degrees of freedom.
-
-    Sides of a lopsided interval are each widened by the square sum with the systematic part's. dof
-    (n_parameter,) [1]: effective ones, by default those of the budget. Equation (unc-interval).
+    effective *dof* (n_parameter,) [1], by default those of the budget. Sides of a lopsided interval are each
+    widened by squares. Equation (unc-interval).
     """
     return tuple(
         _expand(parameter, float(systematic), float(of_parameter))
@@ -425,11 +415,10 @@ Model = Callable[[FloatArray], ComplexArray]
 
 
 def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    """Frequencies (n,) [Hz] from the first to the last of *lines*, which are among them, and the model there
-    (n, n_output, n_input).
+    """Frequencies (n,) [Hz] on and between the *lines*, and the model there (n, n_output, n_input).
 
     Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model bends by more
-    than FLATNESS between two, as at a light resonance, the step is halved again, up to MOST frequencies.
+    than FLATNESS, as at a light resonance, the step is halved again, up to MOST frequencies.
     """
     frequency = between(lines)
     values = model(frequency)

@@ -161,7 +161,6 @@ def minimise(
 def _damped_step(
     problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float
 ) -> tuple[FloatArray | None, float]:
-    """A step that lowers chi-square, and the damping for the next one; None when no step lowers it."""
     n = values.size
     right_side = np.concatenate([-linear.projected, np.zeros(n)])
     for _ in range(MAX_DAMPING_STEPS):

@@ -151,9 +151,8 @@ def remedy(group: Sequence[str]) -> str:
 def estimate_findings(
     estimate: Estimate, names: Sequence[str], n_line: int, units: Sequence[str] = (), cure: Remedy = remedy
 ) -> list[Finding]:
-    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines.
-
-    Its residual is judged in `mismatch`.
+    """Warnings on the estimate: convergence, collinearity with its *cure*, few lines. Its residual is judged
+    in `mismatch`.
     """
     warnings: list[Finding] = []
     if not estimate.converged:
@@ -171,15 +170,13 @@ def estimate_findings(
 
 
 def _collinear(estimate: Estimate, names: Sequence[str], units: Sequence[str], cure: Remedy) -> list[Finding]:
-    """Parameters that are not separately identifiable, by Belsley's variance proportions of weak directions.
-    Correlated columns alone are harmless, as of stiffness and mass of a resonance: the warning requires an
-    error of the FRF to be amplified in the parameters.
+    """By Belsley's variance proportions of weak directions. Correlated columns alone are harmless, as of
+    stiffness and mass of a resonance: the warning requires an error of the FRF to be amplified.
     """
     condition = condition_number(estimate.scaled_design)
     if condition < COLLINEAR_CONDITION:
         return []
-    groups = collinear_groups(estimate.scaled_design, names)
-    group = [name for members in groups for name in members] or list(names)
+    group = collinear_group(estimate.scaled_design, names) or list(names)
     growth = _growth(estimate, names, units, group) if units else None
     if growth is not None and growth < HARMFUL_GROWTH:
         return []
@@ -205,7 +202,6 @@ def _rough(number: float) -> str:
 def _growth(
     estimate: Estimate, names: Sequence[str], units: Sequence[str], group: Sequence[str]
 ) -> float | None:
-    """The largest amplification in the group over the largest coefficient of its unit; None if unknown."""
     if estimate.amplification is None:
         return None
     largest = {
@@ -218,38 +214,31 @@ def _growth(
     )
 
 
-def collinear_groups(scaled_design: FloatArray, names: Sequence[str]) -> list[list[str]]:
+def collinear_group(scaled_design: FloatArray, names: Sequence[str]) -> list[str]:
     """Parameters with most of their variance in weak directions of *scaled_design* (n_parameter, n_parameter)
-    [1], as one group.
-
-    Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
+    [1]. Variance proportion of direction j in parameter i: (v_ij^2 / s_j^2) / sum_j (v_ij^2 / s_j^2).
     """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     floor = singular[0] * np.finfo(float).eps
     parts = (vectors / np.maximum(singular, floor)[:, None]) ** 2
     weak = singular[0] > COLLINEAR_CONDITION * singular
     involved = np.sum(parts[weak], axis=0) > VARIANCE_PROPORTION * np.sum(parts, axis=0)
-    return (
-        [[name for name, inside in zip(names, involved, strict=True) if inside]] if np.any(involved) else []
-    )
+    return [name for name, inside in zip(names, involved, strict=True) if inside]
 
 
 def goodness_findings(gof: Goodness) -> list[Finding]:
     """A warning where the fit explains little of the response, or less than its mean does."""
     value = gof.r2_adjusted
+    if value >= LOW_GOF:
+        return []
     if value < 0:
         message = (
             f"G.o.F {value:.3g} is negative: a constant would follow the data better than this fit. Its "
             "numbers are not a result; check the band, the ports, the signs of the channels and the model"
         )
         return [Finding("negative-gof", message)]
-    if value < LOW_GOF:
-        message = (
-            f"G.o.F {value:.3g}: the fit explains less than half of how the data vary over the band; the "
-            "rest is noise, or not this model"
-        )
-        return [Finding("low-gof", message)]
-    return []
+    share = "the fit explains less than half of how the data vary over the band"
+    return [Finding("low-gof", f"G.o.F {value:.3g}: {share}; the rest is noise, or not this model")]
 
 
 def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
@@ -264,9 +253,8 @@ def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
 
 
 def excess(estimate: Estimate) -> float | None:
-    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None.
-
-    Equation (est-excess).
+    """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None. Equation
+    (est-excess).
     """
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
@@ -308,13 +296,9 @@ def parameter_findings(
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:
-    """Warnings on damping ratios impossible for a passive oscillator, or without oscillation."""
     ratios = [p for p in parameters if p.name == "zeta" or p.name.startswith("zeta_")]
-    text = [
-        f"{p.name} = {p.value:.3g} is above 1: this fit has no resonance, f_n has no meaning"
-        for p in ratios
-        if p.value > 1
-    ]
+    damped = "is above 1: this fit has no resonance, f_n has no meaning"
+    text = [f"{p.name} = {p.value:.3g} {damped}" for p in ratios if p.value > 1]
     unstable = ", ".join(p.name for p in ratios if p.is_negative)
     if unstable:
         text.append(f"{unstable} is negative: the identified system is unstable")
@@ -371,10 +355,8 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
 
 def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], setup: Setup) -> list[Finding]:
     """Warnings on the one mode of sdof or base in its *band* [Hz]: negative mass at a driving point, negative
-    damping, resonance beside it.
-
-    They do not wait for significance, which is for coefficients that may be zero. With a given mass the band
-    may lie beside the resonance; what a closed loop holds need have none.
+    damping, resonance beside it. With a given mass the band may lie beside the resonance; what a closed loop
+    holds need have none.
     """
     if not setup.settings.kind.one_mode or not setup.settings.frees_mass:
         return []
@@ -444,7 +426,7 @@ BIAS, FALL, TOO_WIDE = 14.0, 1.6, 1.25
 
 def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) -> list[Finding]:
     """A warning where the block times the half-power width 2 zeta f_n [lines] of the most lightly damped mode
-    in the band is small; *whole*: K, C and M of the fitted model. Nothing without random data or modes there.
+    in the band is small; *whole*: K, C and M of the fitted model.
     """
     blocks = measured.blocks
     narrowest = None if blocks is None else _narrowest(measured, whole)
@@ -477,7 +459,6 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
 
 
 def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | None:
-    """(frequency, half-power width) [Hz] of the most lightly damped mode in the band, None without one."""
     if np.linalg.matrix_rank(whole.mass) < whole.mass.shape[0]:
         return None
     modal = modes(Matrices(whole.stiffness[None], whole.damping[None], whole.mass[None], whole.force[None]))

@@ -22,21 +22,12 @@ from scipy import linalg, special
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.estimation.mode_model import (
-    AS_IT_IS,
-    MOVED,
-    SECOND,
-    Fitted,
-    extensions,
-    half_width,
-    is_extension,
-    second_beside_moving,
-)
+from labpipe.estimation import mode_model
 from labpipe.estimation.statistics import mixture_interval
 from labpipe.records.finding import NORMAL
 
 # Priors of the members.
-LADDER = {AS_IT_IS: 0.8, SECOND: 0.1, **dict.fromkeys(MOVED, 0.025)}
+LADDER = {mode_model.AS_IT_IS: 0.8, mode_model.SECOND: 0.1, **dict.fromkeys(mode_model.MOVED, 0.025)}
 # Amplitudes of a discrepancy over noise, and the prior of none.
 AMPLITUDES = np.concatenate([[0.0], 10.0 ** np.arange(-1, 4.01, 0.25)])
 SOUND = 0.95
@@ -53,9 +44,9 @@ FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
 
 @dataclass(frozen=True)
 class Course:
-    """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K,
-    which has trace n_line, and *rotate*, the rotated whitening (n_line, n_line) [1 / unit]; *before*: ln det
-    of what else the noise holds; *amplitudes* a (n_amplitude,) [1].
+    """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K, of
+    trace n_line, and rotated whitening *rotate* (n_line, n_line) [1 / unit]; *before*: ln det of other noise;
+    *amplitudes* a (n_amplitude,) [1].
     """
 
     kind: str
@@ -84,15 +75,14 @@ def matern(first: FloatArray, second: FloatArray, length: float) -> FloatArray:
     return u * falling
 
 
-def _shape(base: Fitted, kind: str) -> ComplexArray:
-    """b (n_line,) of a type at the ordinary fit."""
+def _shape(base: mode_model.Fitted, kind: str) -> ComplexArray:
     value, _, main = base.at_minimum
     return {"a": np.ones_like(value), "m": value, "z": main**2}[kind]
 
 
-def lengths_of(base: Fitted) -> dict[str, FloatArray]:
+def lengths_of(base: mode_model.Fitted) -> dict[str, FloatArray]:
     """Lengths (n_length,) [Hz] of each type."""
-    b, w = half_width(base.model, base.theta), base.model.curve.width
+    b, w = mode_model.half_width(base.model, base.theta), base.model.curve.width
     return {
         "a": np.geomspace(0.4 * b, 2 * w, 6),
         "m": w * np.array([0.25, 0.5, 1.0, 2.0]),
@@ -100,7 +90,7 @@ def lengths_of(base: Fitted) -> dict[str, FloatArray]:
     }
 
 
-def course(base: Fitted, kind: str, length: float) -> Course:
+def course(base: mode_model.Fitted, kind: str, length: float) -> Course:
     """A course beside the measured noise; phases of b only turn the eigenvectors: the problem is real."""
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
@@ -112,14 +102,14 @@ def course(base: Fitted, kind: str, length: float) -> Course:
     return Course(kind, length, np.maximum(values, 0.0), vectors.T * turned)
 
 
-def larger_noise(base: Fitted) -> Course:
+def larger_noise(base: mode_model.Fitted) -> Course:
     """Noise larger than the measured one, alike relative to it on all lines: a course without length."""
     size = base.model.curve.frequency.size
     return Course(WHITE, 0.0, np.ones(size), np.diag(1 / base.model.curve.std).astype(np.complex128))
 
 
 def courses_beside(
-    base: Fitted, first: Course, amplitude: float, tried: Sequence[tuple[str, float]]
+    base: mode_model.Fitted, first: Course, amplitude: float, tried: Sequence[tuple[str, float]]
 ) -> list[Course]:
     """Courses as *tried*, none like the *first*, beside the noise and this one of *amplitude* [1]."""
     curve = base.model.curve
@@ -144,10 +134,9 @@ def courses_beside(
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the data say of a member with each course at all amplitudes: ln of the restricted marginal
-    likelihood (n_course, n_amplitude) [1], minus infinity without a solution; mean (n_course, n_amplitude,
-    n_kept) and covariance (n_course, n_amplitude, n_kept, n_kept) of what the model keeps; *theta* (n_course,
-    n) [1]: the ends.
+    """Of a member with each course: ln of the restricted marginal likelihood (n_course, n_amplitude) [1],
+    minus infinity without a solution; mean (n_course, n_amplitude, n_kept) and covariance (n_course,
+    n_amplitude, n_kept, n_kept) of what is kept; the ends *theta* (n_course, n) [1].
     """
 
     log: FloatArray
@@ -157,7 +146,11 @@ class Evidence:
 
 
 def evidence(
-    fit: Fitted, courses: Sequence[Course], rows: FloatArray, steps: int, begin: FloatArray | None = None
+    fit: mode_model.Fitted,
+    courses: Sequence[Course],
+    rows: FloatArray,
+    steps: int,
+    begin: FloatArray | None = None,
 ) -> Evidence:
     """Linear-Gaussian evidence around the fit, or *begin* (n,), linearised again up to *steps* times where it
     is greatest.
@@ -210,10 +203,10 @@ def evidence(
 
 
 def _linearised(
-    of: Course, fit: Fitted, theta: FloatArray, at: tuple[ComplexArray, ...], prior: FloatArray
+    of: Course, fit: mode_model.Fitted, theta: FloatArray, at: tuple[ComplexArray, ...], prior: FloatArray
 ) -> tuple[FloatArray, ...]:
-    """Lengths of the columns of J (n,), not finite if run away; of columns over them F (n_amplitude, n, n)
-    and g (n_amplitude, n); what of ln E needs no solution (n_amplitude,) [1].
+    """Lengths of the columns of J (n,), not finite if run away; F (n_amplitude, n, n) and g (n_amplitude, n)
+    over them; what of ln E needs no solution (n_amplitude,).
     """
     r, j = of.rotate @ (fit.model.curve.values - at[0]), of.rotate @ at[1].T
     scale, away = np.sqrt(np.sum(np.abs(j) ** 2, axis=0)), fit.theta - theta
@@ -233,10 +226,10 @@ def _linearised(
 class Mixture:
     """The parameters of interest with noise and model error, as a mixture of normal distributions.
 
-    Components of these *names* (member and type, "+" beside a second course, "" for the model as it is) with
+    Components of these *names* (member and type, "+" beside a second course, "" for the model as it is) have
     *weights* (n_component,) [1], means (n_component, n_kept) and covariances (n_component, n_kept, n_kept)
-    [1] of what is kept; *noise*: covariance (n_kept, n_kept) by noise alone; *base*: the ordinary fit;
-    second: frequency of a second mode [Hz], motion: relative rms motion of the resonance, if any.
+    [1]; *noise*: covariance (n_kept, n_kept) by noise alone; *base*: the ordinary fit; second: frequency of a
+    second mode [Hz], motion: relative rms of the resonance's, if any.
     """
 
     names: Sequence[str]
@@ -244,7 +237,7 @@ class Mixture:
     means: FloatArray
     covariances: FloatArray
     noise: FloatArray
-    base: Fitted
+    base: mode_model.Fitted
     second: float | None = None
     motion: float | None = None
 
@@ -303,14 +296,12 @@ def settle(first: Mixture, others: tuple[Mixture, ...]) -> Mixture:
     return Settled(**vars(first), others=others)
 
 
-def mixture(base: Fitted) -> Mixture:
-    """Every member of the ladder with every course at every amplitude, weighted by evidence and prior.
-
-    *base*: the ordinary fit. FitError where band or lines do not tell a course from the resonance. Equation
-    (unc-discrepancy).
+def mixture(base: mode_model.Fitted) -> Mixture:
+    """Every member of the ladder beside the ordinary fit *base* with every course, weighted by evidence and
+    prior. FitError where band or lines do not tell a course from the resonance. Equation (unc-discrepancy).
     """
     model = base.model
-    b = half_width(model, base.theta)
+    b = mode_model.half_width(model, base.theta)
     if model.curve.frequency.size < FEWEST_LINES or model.curve.width < FEWEST_WIDTHS * b:
         raise FitError("the band is too narrow to tell a model error from the resonance")
     courses, priors = [larger_noise(base)], [np.log(3)]
@@ -318,10 +309,10 @@ def mixture(base: Fitted) -> Mixture:
         courses += [course(base, kind, float(length)) for length in lengths]
         priors += [np.log(3 * lengths.size)] * lengths.size
     amplitude_prior = np.where(AMPLITUDES == 0, np.log(SOUND), np.log((1 - SOUND) / (AMPLITUDES.size - 1)))
-    fits = {base.model.member: base} | {fit.model.member: fit for fit in extensions(base)}
+    fits = {base.model.member: base} | {fit.model.member: fit for fit in mode_model.extensions(base)}
     ladder = {member: LADDER[member] / sum(LADDER[other] for other in fits) for member in fits}
 
-    def scan(fit: Fitted, prior: float) -> _Scan:
+    def scan(fit: mode_model.Fitted, prior: float) -> _Scan:
         priors_of = (np.log(prior) + fit.occam - np.array(priors))[:, None] + amplitude_prior
         return _scan(base, fit, courses, priors_of)
 
@@ -329,9 +320,11 @@ def mixture(base: Fitted) -> Mixture:
     best = max(scans, key=lambda scan: np.max(scan.log))
     if not np.isfinite(np.max(best.log)):
         raise FitError("no course of a model error continues the fit")
-    together = second_beside_moving(base, fits) if best.likeliest[1] or best.fit.model.member else None
+    together = (
+        mode_model.second_beside_moving(base, fits) if best.likeliest[1] or best.fit.model.member else None
+    )
     if together is not None:
-        scans.append(scan(together, LADDER[SECOND] ** 2))
+        scans.append(scan(together, LADDER[mode_model.SECOND] ** 2))
         best = max(scans, key=lambda scan: np.max(scan.log))
     if best.likeliest[1]:
         scans.append(_second_scan(base, best))
@@ -342,22 +335,22 @@ def mixture(base: Fitted) -> Mixture:
     keep = weights > 1e-9
     weights, names = weights[keep] / np.sum(weights[keep]), names[keep].tolist()
     members = np.array([name[:1] for name in names])
-    laws = [law for law in MOVED if law in fits]
+    laws = [law for law in mode_model.MOVED if law in fits]
     likely = max(laws, key=lambda law: float(np.sum(weights[members == law])), default=None)
     second, motion = (
         float(np.exp(fits[member].theta[model.n_interest])) if member in fits else None
-        for member in (SECOND, likely)
+        for member in (mode_model.SECOND, likely)
     )
     return Mixture(names, weights, means[keep], covariances[keep], base.covariance, base, second, motion)
 
 
 @dataclass(frozen=True)
 class _Scan:
-    """What the data say of a *fit* with *courses*: ln of *prior* and weights (n_course, n_amplitude) [1] of
-    the components, minus infinity where there is none.
+    """A *fit* with *courses*: ln of *prior* and weights (n_course, n_amplitude) [1], minus infinity where
+    there is none.
     """
 
-    fit: Fitted
+    fit: mode_model.Fitted
     courses: Sequence[Course]
     prior: FloatArray
     evidence: Evidence
@@ -384,7 +377,11 @@ class _Scan:
 
 
 def _scan(
-    base: Fitted, fit: Fitted, courses: Sequence[Course], prior: FloatArray, begin: FloatArray | None = None
+    base: mode_model.Fitted,
+    fit: mode_model.Fitted,
+    courses: Sequence[Course],
+    prior: FloatArray,
+    begin: FloatArray | None = None,
 ) -> _Scan:
     """A *fit* with *courses*, without components that have no solution or are far from the ordinary one."""
     n, rows = base.model.n_interest, base.model.prior_rows(base.theta, fit.theta.size)
@@ -393,15 +390,14 @@ def _scan(
         judged = evidence(fit, courses, rows, LINEARISATIONS if begin is None else 2, begin)
         away = np.abs((judged.mean[..., :n] - base.theta[:n]) @ rows[:, :n].T)
         # What an extension adds may vanish, or leave its range: its volume is no evidence then.
-        inside = np.array([is_extension(base, fit.model, theta) for theta in judged.theta])
+        inside = np.array([mode_model.is_extension(base, fit.model, theta) for theta in judged.theta])
     usable = inside[:, None] & np.isfinite(judged.log) & np.all(away <= FARTHEST, axis=2)
     usable &= np.all(np.diagonal(judged.covariance, axis1=2, axis2=3) > 0, axis=2)
     return _Scan(fit, courses, prior, judged, np.where(usable, judged.log + prior, -np.inf))
 
 
-def _second_scan(base: Fitted, best: _Scan) -> _Scan:
-    """A second course beside the best one, which is frozen."""
-    b, w = half_width(base.model, base.theta), base.model.curve.width
+def _second_scan(base: mode_model.Fitted, best: _Scan) -> _Scan:
+    b, w = mode_model.half_width(base.model, base.theta), base.model.curve.width
     of_modes = [("a", b), ("a", np.sqrt(2 * b * w)), ("a", 2 * w)]
     tried = [*of_modes, ("m", 0.5 * w), ("m", 2 * w), ("z", b), ("z", 3 * b)]
     place, amplitude = best.likeliest

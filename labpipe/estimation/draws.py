@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
-from labpipe.estimation.budget import Case, Refit, sources_of
+from labpipe.estimation.budget import Case, Change, Refit, sources_of
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.weights import has_noise, whitener
 from labpipe.records.finding import Finding, Parameter
@@ -57,7 +57,6 @@ def bootstrap(
 
 
 def _check(key: str, n: int, usual: str, measured: Measured, fewest: int) -> None:
-    """FitError for fewer draws than an interval needs, and for an unknown noise."""
     if n < fewest:
         raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=usual)
     if not has_noise(measured):
@@ -71,9 +70,8 @@ def _check_failed(key: str, n_fit: int, n: int) -> None:
 
 
 def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance.
-
-    Equation (est-bootstrap).
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation
+    (est-bootstrap).
     """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
@@ -132,12 +130,18 @@ def propagate(
     """
     _check("monte_carlo", draws, f"at least {FEWEST_DRAWS}, 2000 is usual", case.measured, FEWEST_DRAWS)
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
-    values = [drawn for _ in range(draws) if (drawn := _draw(case, fitted, refit, rng)) is not None]
+    # A number that the data contradict is as uncertain as in the budget.
+    counted = {source.source: source for source in budget.sources}
+    sources = [(counted.get(of.source, of), change) for of, change in sources_of(case.setup, case.measured)]
+    drawn = [_draw(case, sources, fitted, refit, rng) for _ in range(draws)]
+    # Where a stiffness or a mass comes out negative there is no frequency.
+    values = [[of_draw[name] for name in budget.names] for of_draw in drawn if {*budget.names} <= {*of_draw}]
     _check_failed("monte_carlo", len(values), draws)
     columns = np.array(values)
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
-    findings = _findings(complete, len(values))
+    by_noise = complete.with_random({p.name: p.std_error for p in parameters if p.std_error})
+    findings = _findings(replace(by_noise, drawn=complete.drawn), len(values))
     note = (
         f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty "
         "(Monte Carlo, JCGM 101:2008)."
@@ -146,16 +150,22 @@ def propagate(
     return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
-def _draw(case: Case, fitted: ComplexArray, refit: Refit, rng: np.random.Generator) -> FloatArray | None:
-    """Reported values (n_parameter,) [parameter units] of one draw; None where the fit fails."""
+def _draw(
+    case: Case,
+    sources: Sequence[tuple[Uncertainty, Change]],
+    fitted: ComplexArray,
+    refit: Refit,
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """Reported values [parameter units] of one draw by name; none where the fit fails."""
     changed = replace(case, measured=redrawn(case.measured, fitted, rng))
-    for uncertainty, change in sources_of(case.setup, case.measured):
+    for uncertainty, change in sources:
         changed = change(changed, drawn_error(uncertainty, rng))
     try:
         parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
     except FitError:
-        return None
-    return np.array([parameter.value for parameter in parameters])
+        return {}
+    return {parameter.name: parameter.value for parameter in parameters}
 
 
 def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
@@ -172,8 +182,15 @@ def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
 
 
 def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
-    if parameter.ci95 is None:
+    """The parameter with the ends of its draws, and with the model error, which they do not hold, beside."""
+    if parameter.ci95 is None or parameter.std_error is None or parameter.full_error is None:
         return parameter
+    excess = parameter.full_error**2 - parameter.std_error**2 - (parameter.systematic or 0.0) ** 2
+    if excess > 1e-9 * parameter.full_error**2:
+        centre = parameter.value if parameter.fitted is None else parameter.fitted
+        shares = (np.sqrt(excess) / parameter.full_error * (end - parameter.value) for end in parameter.ci95)
+        below, above = (np.hypot(end - centre, share) for end, share in zip((low, high), shares, strict=True))
+        low, high = parameter.value - below, parameter.value + above
     significant = None if parameter.significant is None else not low <= 0 <= high
     return replace(parameter, ci95=(float(low), float(high)), significant=significant)
 

@@ -87,7 +87,6 @@ def identify(
 def _diagonal_term(
     response: FrequencyResponse, settings: FitSettings, dof: str, bands: tuple[Band, ...], judging: bool
 ) -> tuple[Fit, ...]:
-    """The fits of H of *dof* to the force along it, one per band; errors name the term."""
     of_term = replace(settings, peaks=(), bands=bands, input=(dof,), output=(dof,))
     try:
         fits = identify(response, of_term, judging=judging)
@@ -98,7 +97,6 @@ def _diagonal_term(
 
 
 def _check_repeats(measured: FrequencyResponse, settings: FitSettings) -> None:
-    """SettingError for keys that have no meaning with, or without, repeats."""
     if measured.repeats is None:
         if settings.repeat_groups:
             what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
@@ -164,7 +162,6 @@ def sliding_bands(whole: Band, width: float, step: float) -> list[Band]:
 
 
 def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Band, BoolArray]]:
-    """Every band with its lines; those of sliding ones go up to, not including, the upper edge."""
     frequency = response.frequency
     if settings.bands:
         return [(band, lines_in(frequency, band)) for band in settings.bands]
@@ -177,8 +174,6 @@ def _bands(response: FrequencyResponse, settings: FitSettings) -> list[tuple[Ban
 
 @dataclass(frozen=True)
 class _BandFit:
-    """A fit, its model, and the receptance that this gives on the lines (n_line, n_output, n_input)."""
-
     fit: Fit
     fitted: ComplexArray
     model: derived.BandModel
@@ -198,7 +193,6 @@ def _model(setup: Setup) -> derived.BandModel:
 
 
 def _may_have_residuals(setup: Setup) -> bool:
-    """Whether a fit is of one mode of unknown mass, by nothing but its coefficients."""
     settings = setup.settings
     plain = settings.damping == VISCOUS and not (
         settings.fixed or settings.tied or settings.eliminate or derived.is_corrected(settings)
@@ -233,7 +227,6 @@ def _beside_others(
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
-    """The settings' model less the parameters that were eliminated: those of *names* are left."""
     model = _model(setup)
     for name in model.names:
         if name not in names and isinstance(model, DynamicModel):
@@ -472,7 +465,6 @@ def _model_to_question(case: Case) -> DynamicModel | None:
 
 
 def _late_channel(case: Case) -> dict[str, Finding]:
-    """The channel whose delay explains the residual, with the finding."""
     model, chance = _model_to_question(case), case.estimate.gof.chi2_p
     if model is None or chance is None or chance >= diagnostics.MISMATCH_P:
         return {}
@@ -517,7 +509,6 @@ def _eliminate(
 
 
 def _curve(view: FormView, measured: Measured, fit: _BandFit, *, dense: bool) -> FittedCurve:
-    """Measured and fitted FRF in the measured form; *dense*: with the model between the lines too."""
     frequency = measured.omega / (2 * np.pi)
     factor = view.factor(frequency)[:, None, None]
     variance = measured.variance

@@ -28,8 +28,8 @@ class SharedNoise:
     """Noise of the chosen lines, whitened element by element: e(k, a) = sum_j gains(k, j, a) z(k + j - m, a),
     cov(z_(k+d), z_k) = r_d.
 
-    numbers (n_line,): numbers of the chosen lines; correlation r_1, r_2, ... (n_distance,) [1]; gains
-    (n_line, 2 m + 1, n_element) [1], or None where every line has the noise of its own number alone.
+    *numbers* (n_line,) of the lines; correlation r_1, r_2, ... (n_distance,) [1]; gains (n_line, 2 m + 1,
+    n_element) [1], None where every line has the noise of its own number alone.
     """
 
     numbers: IntArray
@@ -43,10 +43,11 @@ class SharedNoise:
         for neighbour, gain in enumerate(self._factors):
             # Line numbers do not repeat, so that one neighbour of all lines can be added at once.
             spread[places + neighbour] += gain.conj()[:, :, None] * columns
-        spread = self._by_distance(spread)
-        return np.asarray(
-            sum(gain[:, :, None] * spread[places + neighbour] for neighbour, gain in enumerate(self._factors))
-        )
+        return self._gathered(self._by_distance(spread))
+
+    def _gathered(self, every: ComplexArray) -> ComplexArray:
+        gains = enumerate(self._factors)
+        return np.asarray(sum(gain[:, :, None] * every[self._places + n] for n, gain in gains))
 
     def drawn(self, rng: np.random.Generator, n_element: int, n_draw: int = 1) -> ComplexArray:
         """Independent draws of circular normal noise of this correlation, (n_line, n_element, n_draw) [1]."""
@@ -54,11 +55,7 @@ class SharedNoise:
         power = np.maximum(fft.fft(kernel).real, 0.0)
         white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
         shared = fft.ifft(np.sqrt(power)[:, None, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
-        drawn = sum(
-            gain[:, :, None] * shared[self._places + neighbour]
-            for neighbour, gain in enumerate(self._factors)
-        )
-        return np.asarray(drawn)
+        return self._gathered(shared)
 
     @property
     def trace(self) -> float:
@@ -101,10 +98,8 @@ class SharedNoise:
         n = columns.shape[0]
         kernel = self._kernel(n)
         shape = (-1,) + (1,) * (columns.ndim - 1)
-        product: ComplexArray = fft.ifft(
-            fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0), axis=0
-        )[:n]
-        return product
+        spectrum = fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0)
+        return np.asarray(fft.ifft(spectrum, axis=0)[:n])
 
     def _kernel(self, n: int) -> ComplexArray:
         """The correlation of *n* lines as that of a circle of lines so long that its ends do not meet."""
@@ -164,9 +159,8 @@ class LineBlocks:
 
 @dataclass(frozen=True)
 class SharedResidual:
-    """What shared noise does to a weighted fit: the *covariance* (n_parameter, n_parameter) [parameter units]
-    of its estimates; the residual's sum of squares is like chi-square of *dof* degrees of freedom, scaled to
-    *mean* [1].
+    """Of a weighted fit: the *covariance* (n_parameter, n_parameter) [parameter units] of its estimates; the
+    residual's sum of squares is like chi-square of *dof* degrees of freedom, scaled to *mean* [1].
     """
 
     covariance: FloatArray
@@ -246,8 +240,7 @@ class Leakage:
     def points_of(self, model: ReceptanceModel, parameters: FloatArray) -> ComplexArray:
         """H [m/N] of the model at every line's points, (n_line, n_point, n_dof, n_input)."""
         omega, place = self.grid
-        values: ComplexArray = model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
-        return values
+        return np.asarray(model.receptance(parameters, omega)[place] * self._factors[:, :, None, None])
 
     def averaged(self, values: ComplexArray) -> ComplexArray:
         """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof,
@@ -266,7 +259,6 @@ class Leakage:
 
     @cached_property
     def _weights(self) -> Any:
-        """Weights of the points of every line as a sparse matrix (n_line, n_every) [1]."""
         omega, place = self.grid
         n_line, n_point = place.shape
         weights = (self.kernel.weights * self._factors).ravel()
@@ -303,9 +295,8 @@ class SmearedModel:
         parameters: FloatArray,
         omega: FloatArray,  # noqa: ARG002 (the lines are the leakage's)
     ) -> ComplexArray:
-        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input).
-
-        Equation (frf-smeared).
+        """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input). Equation
+        (frf-smeared).
         """
         return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
 
@@ -325,11 +316,10 @@ def expected(measured: Measured, model: Any) -> Any:
 
 def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatArray) -> LineBlocks | None:
     """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what
-    their residual's power gives.
+    their residual's power gives; None without leakage or noise.
 
     The residual y - H1 u of a block is leakage sum_v (H(v) - H1(w)) W(w - v) u(v) and noise. What one block
-    loses at its end the next has too much, so that the mean over overlapping blocks scatters less than its
-    residual tells, correlated otherwise from line to line. None without leakage or noise.
+    loses at its end the next has too much: the mean of overlapping blocks scatters less than that tells.
     """
     leakage = measured.leakage
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
@@ -360,8 +350,7 @@ def _force_power(measured: Measured) -> FloatArray:
     assert measured.covariance is not None
     _, n_output, n_input = measured.matrix.shape
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
-    ratio: FloatArray = np.median(variance[:, :, :1] / variance, axis=(0, 1))
-    return ratio
+    return np.asarray(np.median(variance[:, :, :1] / variance, axis=(0, 1)))
 
 
 def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> ComplexArray:
@@ -371,7 +360,6 @@ def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> C
 
 
 def _rows(deviation: ComplexArray) -> ComplexArray:
-    """Values (n_line, n_point, n_output, n_input) by output, (n_line, n_output, n_point n_input)."""
     n_line, n_point, n_output, n_input = deviation.shape
     return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
 
@@ -405,7 +393,6 @@ def _scatter(
 
 
 def _by_force(products: ComplexArray, power: FloatArray) -> ComplexArray:
-    """Covariance (n_pair, n, n) of vec(H) from the outputs' (n_pair, n_output, n_output), over each force."""
     n_pair, n_output, _ = products.shape
     n = n_output * power.size
     return np.einsum("kop,ij->koipj", products, np.diag(1 / power)).reshape(n_pair, n, n)

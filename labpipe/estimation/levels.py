@@ -4,9 +4,8 @@ linear.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from labpipe.display import change_text
 from labpipe.distributions import chi2_tail
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, random_part
 
 # Conditions of a test that say how strongly it was excited.
 LEVELS = ("level", "amplitude", "force", "excitation")
@@ -25,13 +24,8 @@ KINDS = {"N/m": "stiffness", "N.s/m": "damping"}
 Conditions = Mapping[str, str]
 
 
-@dataclass(frozen=True)
-class _Test:
-    """A fit with the level of its test as people wrote it, and in SI."""
-
-    fit: Fit
-    text: str
-    level: float
+# The level of a test in SI, and as people wrote it, with a fit of it.
+_Test = tuple[float, str, Fit]
 
 
 def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions]) -> list[Fit]:
@@ -48,29 +42,30 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         if levels:
             others = tuple(sorted((name, text) for name, text in stated.items() if name != levels[0]))
             text = str(stated[levels[0]])
-            # "full" is no number, and not above or below any.
-            with contextlib.suppress(UnitError):
+            try:
                 level, unit = si_amount(text)
-                group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
-                group.append(_Test(fit, text, level))
-    new = {id(test.fit): finding for group in groups.values() for test, finding in _of_group(group)}
+            except UnitError:
+                # "full" is no number, and not above or below any.
+                continue
+            group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
+            group.append((level, text, fit))
+    new = dict(pair for group in groups.values() for pair in _of_group(group))
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
 
 
-def _of_group(tests: list[_Test]) -> list[tuple[_Test, Finding]]:
-    """The finding of the highest level against the lowest; none of one level alone."""
-    low, high = min(tests, key=lambda test: test.level), max(tests, key=lambda test: test.level)
-    message = _difference(low, high) if low.level < high.level else ""
-    return [(high, Finding("amplitude", message))] if message else []
+def _of_group(tests: list[_Test]) -> list[tuple[int, Finding]]:
+    low, high = (of(tests, key=lambda test: test[0]) for of in (min, max))
+    message = _difference(low, high) if low[0] < high[0] else ""
+    return [(id(high[-1]), Finding("amplitude", message))] if message else []
 
 
 def _difference(low: _Test, high: _Test) -> str:
-    """What changed beyond noise, if anything: all stiffness, all damping, or coefficient by coefficient."""
-    before, after = _estimates(low.fit), _estimates(high.fit)
+    (_, low_text, low_fit), (_, high_text, high_fit) = low, high
+    before, after = _estimates(low_fit), _estimates(high_fit)
     if not before or [parameter.name for parameter in before] != [parameter.name for parameter in after]:
         return ""
     change = np.array([late.value - early.value for early, late in zip(before, after, strict=True)])
-    information = np.linalg.pinv(_covariance(low.fit, before) + _covariance(high.fit, after), hermitian=True)
+    information = np.linalg.pinv(_covariance(low_fit, before) + _covariance(high_fit, after), hermitian=True)
     together = chi2_tail(float(change @ information @ change), change.size)
     shapes = {
         kind: np.array([p.value if p.unit == unit else 0.0 for p in before]) for unit, kind in KINDS.items()
@@ -85,21 +80,21 @@ def _difference(low: _Test, high: _Test) -> str:
         for kind, (amount, error) in amounts.items()
     )
     return (
-        f"between {low.text} (test {low.fit.test}) and {high.text} (this test) {listed or 'the parameters'} "
+        f"between {low_text} (test {low_fit.test}) and {high_text} (this test) {listed or 'the parameters'} "
         f"changed on the whole (p = {p_value:.2g}): the rig is not linear, and the coefficients hold for "
         "their level only. Measure at the level of use, or lower it until nothing changes"
     )
 
 
 def _estimates(fit: Fit) -> list[Parameter]:
-    """The parameters that were estimated; none where one of them has no standard error."""
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     return estimated if all(parameter.std_error for parameter in estimated) else []
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
     """Covariance (n, n) of the estimates with model error; given numbers are the same at both levels."""
-    errors = np.array([parameter.full_error or 0.0 for parameter in parameters])
+    random = [random_part(fit, parameter) or parameter.full_error or 0.0 for parameter in parameters]
+    errors = np.array(random)
     by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:
         if detail.given_in_noise:

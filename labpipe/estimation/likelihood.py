@@ -59,11 +59,9 @@ def starts(
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
     by_products = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
-    values = (
-        equation_solution(regression(problem.measured, linear, "none"), linear)[0]
-        if by_products is None
-        else by_products
-    )
+    values = by_products
+    if values is None:
+        values = equation_solution(regression(problem.measured, linear, "none"), linear)[0]
     attempts = [_start(problem, "least squares", model.from_linear(values))]
     idle = 0
     for number in range(1, REWEIGHTINGS + 1):
@@ -72,9 +70,8 @@ def starts(
         except (FitError, np.linalg.LinAlgError):
             break
         lowest = min(start.chi2 for start in attempts)
-        attempts.append(
-            _start(problem, f"reweighted least squares (pass {number})", model.from_linear(values))
-        )
+        name = f"reweighted least squares (pass {number})"
+        attempts.append(_start(problem, name, model.from_linear(values)))
         idle = 0 if attempts[-1].chi2 < WORTHWHILE * lowest else idle + 1
         if idle == 2 or (p_value is not None and p_value(attempts[-1].chi2) >= SUSPECT_P):
             break
@@ -87,7 +84,6 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
 
 
 def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
-    """Least squares of the whitened equation error times Z_last^-1."""
     measured, linear = problem.measured, problem.model.linear
     if has_line_products(linear, problem.weights):
         values = _by_line_products(problem, last)
@@ -167,7 +163,6 @@ def maximum_likelihood(
 
 
 def _dof(measured: Measured, model: FittedModel) -> int:
-    """Equations less parameters; FitError for none."""
     n_parameter = len(model.names)
     if measured.n_equation <= n_parameter:
         what = f"{measured.n_equation} real equations cannot determine {n_parameter} parameters"
@@ -210,7 +205,6 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
 def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
-    """The estimate at a minimum of *problem*, with its uncertainty."""
     n_parameter, dof = len(model.names), _dof(measured, model)
     linear = problem.linearised(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
@@ -294,7 +288,6 @@ def assess(
 def _best_minimum(
     problem: OutputError[ResponseModel], p_value: Callable[[float], float] | None, most_steps: int
 ) -> tuple[Minimum, Start]:
-    """The lowest minimum of the starts; further ones only where *p_value* makes the last minimum suspect."""
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem, p_value):
         minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)

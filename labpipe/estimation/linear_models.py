@@ -28,7 +28,6 @@ PERPENDICULAR = 1e-3
 
 
 def _scalar_mass(mass: Mass) -> float | None:
-    """The mass [kg], or None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
     if not isinstance(mass, (int, float)):
@@ -78,7 +77,6 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
 
 
 def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[int]) -> list[Term]:
-    """b_x, b_y of every force; with the force's label where there are several."""
     suffixes = [""] if len(inputs) == 1 else [f"_{port.label}" for port in inputs]
     return [
         entry_term(f"b_{'xy'[axis]}{suffix}", "force", [(axes.index(axis), column)], shape, droppable=False)
@@ -88,10 +86,9 @@ def _force_factors(inputs: tuple[Port, ...], shape: tuple[int, int], axes: list[
 
 
 def rotor_2dof_direct(setup: Setup) -> DynamicModel:
-    """Direct coefficients only: one spring and damper per axis, under the force's component F cos(a) or
-    F sin(a) (Lim et al. 2009, eq. 21-22).
-
-    ConfigError when the force's direction is not known, or has no part along a response.
+    """Direct coefficients only: one spring and damper per axis, under the force's component F cos(a) or F
+    sin(a) (Lim et al. 2009, eq. 21-22). ConfigError when the force's direction is not known, or has no part
+    along a response.
     """
     if len(setup.outputs) not in (1, 2):
         what = f"rotor-2dof-direct takes one or two responses, found {labels(setup.outputs)}"
@@ -216,7 +213,6 @@ def mdof(setup: Setup) -> DynamicModel:
 def _entries(
     letter: str, kind: str, dofs: list[str], shape: tuple[int, int], symmetric: bool, droppable: bool = True
 ) -> list[Term]:
-    """One parameter per entry of a matrix; of a symmetric one, those on and above the diagonal."""
     terms = []
     for r in range(len(dofs)):
         for c in range(r if symmetric else 0, len(dofs)):
@@ -226,7 +222,6 @@ def _entries(
 
 
 def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
-    """The mass matrix [kg], (n_dof, n_dof); None when it is to be estimated."""
     if mass == ESTIMATE:
         return None
     try:
@@ -252,11 +247,12 @@ def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
         return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)
     output_angles = [angle_of(output) for output in setup.outputs]
-    if angle is None or None in output_angles:
+    there = [output.place == port.place for output in setup.outputs]
+    if angle is None or None in output_angles or not any(there):
         hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
         what = f"the force {port.label} acts on dof '{port.dof}', which has no response"
         raise ConfigError(what, hint=hint)
-    shares = np.cos(angle - np.array(output_angles, dtype=float))
+    shares = np.cos(angle - np.array(output_angles, dtype=float)) * there
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)
 
 
@@ -270,9 +266,8 @@ PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s
 
 
 def form_view(form: str, settings: FitSettings) -> FormView:
-    """The view of a model on a response of that *form*.
-
-    ConfigError for a base without its motion, and for a transmissibility elsewhere.
+    """The view of a model on a response of that *form*. ConfigError for a base without its motion, and for a
+    transmissibility elsewhere.
     """
     if settings.kind.of_base and form != TRANSMISSIBILITY:
         other = f"and a motion as output; this FRF is of the form '{form}'"
@@ -291,9 +286,7 @@ def form_view(form: str, settings: FitSettings) -> FormView:
 
 def base_excited(setup: Setup) -> DynamicModel:
     """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows
-    no more.
-
-    ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
+    no more. ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
     if setup.shape != (1, 1):
         found = f"{labels(setup.outputs)} and {labels(setup.inputs)}"

@@ -33,12 +33,10 @@ class Measured:
     noise_lines: lines with a common one (smoothed noise). change (n_line, n_output, n_input) [m/N]: of the
     second half of the record against the first, or None.
 
-    shared_noise, shared_power: sum of c and of c^2 over the chosen lines, itself included, averaged over the
-    lines, c the correlation of their noise (a window spreads it over neighbours): factor on the variance of a
-    sum over lines, and on that of their powers. Where c is complex, lines do not add up and shared_noise is
-    the upper bound shared_power; where noise cancels between lines it is 1, since no estimate is a plain sum.
-    *line_noise*: the same correlation line by line, None for independent lines; *noise*: that of lines with
-    gains of their own.
+    shared_noise, shared_power: mean over the lines of the sum of c and of c^2, c the correlation of their
+    noise (a window spreads it): factor on the variance of a sum over lines, and on that of their powers. For
+    complex c shared_noise is the upper bound shared_power; where noise cancels it is 1, since no estimate is
+    a plain sum. *line_noise*: that correlation, None for independent lines; *noise*: of lines with gains.
 
     *offset* (n_line,) [m/N]: what was taken off the measured form, on which a gain's error acts too; None for
     0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces first,
@@ -120,9 +118,8 @@ def measured_part(
     view: FormView | None = None,
 ) -> Measured:
     """The chosen part as receptance; *lines*: mask (n_frequency,) [-]; *view* of the form, its own by
-    default.
-
-    FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation (est-shared).
+    default. FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation
+    (est-shared).
     """
     frequency = response.frequency[lines]
     if not frequency.size:
@@ -191,16 +188,13 @@ def _noise_of_channels(
 def _chosen_covariance(
     response: FrequencyResponse, index: list[int], lines: BoolArray, factor: ComplexArray
 ) -> StoredCovariance:
-    """The covariance of the elements *index* on the lines over |factor|^2, in blocks where it is so."""
     stored = response.stored_covariance
     if isinstance(stored, BlockCovariance):
         return stored.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
     if response.covariance is None:
         return None
-    covariance: ComplexArray = (
-        response.covariance[lines][:, index][:, :, index] / (np.abs(factor) ** 2)[:, None, None]
-    )
-    return covariance
+    whole = response.covariance[lines][:, index][:, :, index]
+    return np.asarray(whole / (np.abs(factor) ** 2)[:, None, None])
 
 
 def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:
@@ -226,7 +220,6 @@ def _share(numbers: IntArray, correlation: FloatArray) -> float:
 
 
 def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
-    """FitError for an output that is zero at every line."""
     still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
     if still:
         what = f"the FRF of {', '.join(still)} is zero at every line of the band"

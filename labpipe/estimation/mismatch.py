@@ -62,10 +62,6 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Minimum:
-    """A minimum of the output error, its uncertainty, the residual's p-value and, of unknown noise,
-    structure.
-    """
-
     problem: OutputError[ReceptanceModel]
     values: FloatArray
     assessed: Assessed
@@ -203,9 +199,8 @@ def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def by_lines(case: Case) -> Estimate:
-    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown: if
-    it grows with the response, its mean over the band is too small where the lines say most of damping. As it
-    is where lines share noise, and of another estimator.
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown and
+    lines share none: if it grows with the response, its mean is too small where lines say most of damping.
     """
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
     if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
@@ -269,7 +264,6 @@ def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
 
 
 def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
-    """The model error of one mode inside the interval; None for other models."""
     error = model_error(judged.measured, judged.model, best.values, judged.settings)
     if error is None:
         return None
@@ -282,7 +276,6 @@ def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
 
 
 def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
-    """The model error of several coefficients inside the interval; None where nothing tells the noise."""
     weights = _noise_weights(judged, best)
     if weights is None:
         return None
@@ -312,9 +305,7 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
 
 
 def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
-    """No model error can be told from the coefficients: the excess over the noise is counted as noise; of
-    unknown noise, that of the residual, neighbours that are alike count as one.
-    """
+    """The excess over the noise counts as noise; of unknown noise, neighbours that are alike count as one."""
     away = best.values - judged.estimate.values
     if best.structure is None:
         at_minimum = replace(
@@ -347,7 +338,6 @@ def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) ->
 
 
 def _wording(best: _Minimum) -> str:
-    """What is wrong with the residual."""
     if best.structure is None:
         return excess_text(best.assessed.reduced, best.p_value)
     return (
@@ -362,7 +352,6 @@ def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
 
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
-    """The covariance (n, n) enlarged so far that no variance is below that of *least* (n, n)."""
     ratio = np.sqrt(np.maximum(np.diag(least) / np.maximum(np.diag(covariance), np.finfo(float).tiny), 1.0))
     return np.asarray(covariance * np.outer(ratio, ratio))
 

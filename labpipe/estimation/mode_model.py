@@ -62,10 +62,10 @@ class Curve:
 class ModeModel:
     """h = resonance(q) + sum of complex amplitudes times columns, on the lines of a curve.
 
-    coefficients: q = ln k, ln c, ln m of 1 / (k + c s + m s^2), or without ln m where *mass* is given; else q
-    = ln f_n, ln zeta of A / (s - lambda) + A^* / (s - lambda^*), A the first amplitude. residual: Legendre
-    terms 1, x, ... of the band. member: a law of MOVED adds ln e, the relative rms motion of the resonance,
-    SECOND adds ln f_2, ln zeta_2 and an amplitude, SECOND and a law both.
+    coefficients: q = ln k, ln c, ln m of 1 / (k + c s + m s^2), without ln m where *mass* is given; else q =
+    ln f_n, ln zeta of A / (s - lambda) + A^* / (s - lambda^*), A the first amplitude. residual: Legendre
+    terms 1, x, ... of the band. member: a law of MOVED adds ln e, the relative rms motion, SECOND adds ln
+    f_2, ln zeta_2 and an amplitude.
     """
 
     curve: Curve
@@ -158,7 +158,6 @@ class ModeModel:
 
     @cached_property
     def _plain(self) -> ModeModel:
-        """A second mode by itself."""
         return ModeModel(self.curve)
 
     def _with_conjugate(self, q: FloatArray) -> ComplexArray:
@@ -242,9 +241,8 @@ class ModeModel:
         return np.concatenate([q, np.linalg.lstsq(rows.T, side, rcond=None)[0]]) if n_amplitude else theta
 
     def fitted(self, theta: FloatArray) -> Fitted:
-        """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,).
-
-        FitError where there is no minimum.
+        """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,). FitError where there is no
+        minimum.
         """
         weighted, values = self.curve.weighted, self.curve.values
 
@@ -334,9 +332,7 @@ def moving_resonances(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fit
 
 
 def second_beside_moving(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | None:
-    """The ordinary fit of a second mode beside a resonance that moves, from either of these in *fits* by
-    member; None where neither leads to one.
-    """
+    """The ordinary fit of a second mode beside a resonance that moves, from either of these in *fits*."""
     moving = [fit for fit in fits.values() if fit.model.law]
     likely = min(moving, key=lambda fit: fit.chi2, default=base)
     candidates = [second_mode(likely)] if moving else []
@@ -347,9 +343,9 @@ def second_beside_moving(base: Fitted, fits: Mapping[str, Fitted]) -> Fitted | N
 
 
 def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
-    """Whether a *model* at *theta* (n,) [1] is still the ordinary fit *base* with what its member adds: a
-    second mode in the band, of like damping, beside one that moved by less than its width; a motion neither
-    longer than that nor too short to be seen.
+    """Whether a *model* at *theta* (n,) [1] is still *base* with what its member adds: a second mode in the
+    band, of like damping, beside one that moved by less than its width; a motion neither longer nor too short
+    to be seen.
     """
     # In logarithms: what runs away is no number else.
     n, band = model.n_interest, np.log(model.curve.frequency[[0, -1]])
@@ -414,8 +410,8 @@ def second_mode(base: Fitted) -> Fitted | None:
 
 
 def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
-    """The same two modes, the one nearer to the old pole first, fitted again from there. Coefficients are
-    those of the first mode; the residue of the second is 1 / (2 sqrt(k m)) of its own.
+    """The same two modes, the one nearer to the old pole first; the residue of the second is 1 / (2 sqrt(k
+    m)) of its own.
     """
     theta, model, n = fit.theta, fit.model, fit.model.n_interest
     if not min(model.frequency_and_damping(theta)) > 0:

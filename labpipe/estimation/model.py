@@ -187,16 +187,14 @@ class DynamicModel:
         )
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s].
-
-        Equation (est-stiffness).
+        """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation
+        (est-stiffness).
         """
         return _dynamic_stiffness(self.whole(parameters), omega)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular.
-
-        Equation (est-receptance).
+        """H(w) = Z^-1 B [m/N], (n_line, n_dof, n_input); FitError where Z is singular. Equation
+        (est-receptance).
         """
         whole = self.whole(parameters)
         return _regular(
@@ -220,7 +218,6 @@ class DynamicModel:
         return slopes.transpose(3, 0, 1, 2)
 
     def _add_slopes(self, whole: Matrices, omega: FloatArray, slopes: ComplexArray) -> None:
-        """Add dH/dp of a few lines to *slopes* (n_line, n_dof, n_input, n_parameter)."""
         n_line, n_dof, n_input = slopes.shape[:3]
         inverse = _regular(np.linalg.inv, _dynamic_stiffness(whole, omega))
         by_input = (inverse @ whole.force).swapaxes(1, 2)
@@ -286,13 +283,12 @@ class DynamicModel:
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
-        """Each kind of matrix of all terms, (n_parameter, n_dof, n_dof or n_input)."""
-        stacks = {}
-        for kind in ("stiffness", "damping", "mass", "force"):
-            matrices = [getattr(term.matrices, kind) for term in self.terms]
-            none = np.zeros((0, *getattr(self.constant, kind).shape))
-            stacks[kind] = np.stack(matrices) if matrices else none
-        return stacks
+        return {
+            kind: np.array([getattr(term.matrices, kind) for term in self.terms]).reshape(
+                -1, *getattr(self.constant, kind).shape
+            )
+            for kind in UNITS
+        }
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
@@ -303,7 +299,6 @@ def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -
 
 
 def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
-    """By what a matrix of each kind stands in Z(w), (n_line,)."""
     return {"stiffness": np.ones_like(omega), "damping": 1j * omega, "mass": -(omega**2)}
 
 

@@ -42,7 +42,6 @@ NAMED = 0.25
 @dataclass(frozen=True)
 class StatedRow:
     """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset.
-
     *log*: of its logarithm.
     """
 
@@ -151,7 +150,6 @@ def reason_of(shares: Mapping[str, float], worded: Callable[[str], str] = str) -
 
 
 def _cause(share: str) -> str:
-    """The cause of a share such as "Ja", "a", "+am" or "none"."""
     if share == "none":
         return NOISE
     if share.startswith(SECOND):
@@ -165,9 +163,8 @@ def model_error(
     measured: Measured, model: FittedModel, values: FloatArray, settings: FitSettings
 ) -> ModelError | None:
     """The model error of a fit of one FRF by one mode at *values* (n_parameter,) [parameter units]; None for
-    another kind, a band too narrow for its width, and random data whose leakage the fit models.
-
-    Unknown noise is the scatter of the residual's second differences.
+    another kind, a band too narrow for its width, and random data whose leakage the fit models. Unknown noise
+    is the scatter of the residual's second differences.
     """
     if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
         return None
@@ -194,8 +191,6 @@ def model_error(
 
 @dataclass(frozen=True)
 class _Built:
-    """A mode without its curve, its *start* (n_shape,), what its parameters are, the *force* h is over."""
-
     mode: ModeModel
     start: FloatArray
     rows: dict[str, StatedRow]
@@ -237,7 +232,6 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
 
 
 def _coefficient_rows(mode: ModeModel, stiffness: str, damping: str) -> dict[str, StatedRow]:
-    """Coefficients, a free mass among them, and the resonance that they give."""
     unit = np.eye(mode.n_interest)
     rows = {stiffness: StatedRow(unit[0]), damping: StatedRow(unit[1])}
     if mode.mass is None:

@@ -130,7 +130,6 @@ def _add_separable_products(
 
 
 def _gather(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]) -> FloatArray:
-    """The products (n_parameter, n_parameter) of all terms from those of their elements."""
     products = np.zeros((len(model.terms),) * 2)
     whole = dict(zip(sums, _whole(np.array(list(sums.values())), model.constant.force.shape[0]), strict=True))
     for first, other in combinations_with_replacement(kinds, 2):
@@ -147,7 +146,6 @@ def _gather(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]
 
 
 def _block(rows: ActingTerms, columns: ActingTerms) -> tuple[IntArray | slice, IntArray | slice]:
-    """Where the products of two kinds of terms stand among those of all."""
     if isinstance(rows.place, slice) or isinstance(columns.place, slice):
         return rows.place, columns.place
     return rows.place[:, None], columns.place
@@ -155,7 +153,6 @@ def _block(rows: ActingTerms, columns: ActingTerms) -> tuple[IntArray | slice, I
 
 @lru_cache(maxsize=64)
 def _upper(n_dof: int) -> tuple[IntArray, IntArray]:
-    """The numbers (a, c), a <= c, of pairs of columns."""
     return np.triu_indices(n_dof)
 
 
@@ -244,7 +241,6 @@ class OutputError(Generic[Model]):
         return linearised(self, parameters)
 
     def _linear_at(self, parameters: FloatArray) -> tuple[DynamicModel, FloatArray, FloatArray] | None:
-        """A linear model, its values (n,) and derivatives by *parameters* (n, n_parameter); or None."""
         if isinstance(self.model, FactorModel):
             return self.model.expanded, self.model.expanded_values(parameters), self.model.slopes(parameters)
         if isinstance(self.model, DynamicModel):

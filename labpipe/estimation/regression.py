@@ -69,9 +69,7 @@ def equation_solution(equation: Regression, model: DynamicModel) -> tuple[FloatA
 @dataclass(frozen=True)
 class Regression:
     """The equation of motion as a regression: *terms* (n_parameter, n_line, n_dof, n_input), *right_side*
-    (n_line, n_dof, n_input) [1].
-
-    line_weights (n_line,) [1].
+    (n_line, n_dof, n_input) [1]; line_weights (n_line,) [1].
     """
 
     terms: ComplexArray
@@ -95,9 +93,7 @@ class Regression:
 
     def instrumental(self, instruments: FloatArray) -> FloatArray:
         """(V^T A)^-1 V^T b (n_parameter,) [parameter units] of *instruments* V (n_parameter, n_equation), all
-        scaled by the lengths in between.
-
-        FitError where V is dependent.
+        scaled by the lengths in between. FitError where V is dependent.
         """
         product = (instruments @ self.rows.T) / np.outer(self.lengths, self.lengths)
         try:
@@ -113,8 +109,7 @@ class Regression:
 
     def residual(self, values: FloatArray) -> ComplexArray:
         """Residual of the equation, (n_line, n_dof, n_input) [1]."""
-        residual: ComplexArray = self.right_side - np.tensordot(values, self.terms, 1)
-        return residual
+        return np.asarray(self.right_side - np.tensordot(values, self.terms, 1))
 
 
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
@@ -123,18 +118,15 @@ def regression(measured: Measured, model: DynamicModel, weight: str) -> Regressi
         what = f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters"
         raise FitError(what, hint="widen the band")
     weights = line_weights(measured, weight)
+    by_line = 1.0 if weight == "none" else weights[:, None, None]
     terms = model.equation_terms(measured.matrix, measured.omega)
     right_side = model.equation_constant(measured.matrix, measured.omega)
-    if weight != "none":
-        terms, right_side = terms * weights[:, None, None], right_side * weights[:, None, None]
-    return Regression(terms, right_side, weights)
+    return Regression(terms * by_line, right_side * by_line, weights)
 
 
 def line_weights(measured: Measured, weight: str) -> FloatArray:
     """Weight of every line, (n_line,) [1]; none: 1; noise: |H| / s, since noise s of H becomes s / |H| in the
-    equation of motion.
-
-    FitError for an unknown or zero noise. Equation (est-line-weights).
+    equation of motion. FitError for an unknown or zero noise. Equation (est-line-weights).
     """
     if weight == "none":
         return np.ones(measured.omega.size)
@@ -147,8 +139,7 @@ def line_weights(measured: Measured, weight: str) -> FloatArray:
     if np.any(noise == 0):
         what = "a line of the FRF has no noise, so lines cannot be weighted by it"
         raise FitError(what, hint="leave `weight` out")
-    weights: FloatArray = size / noise
-    return weights / float(np.max(weights))
+    return np.asarray(size / noise / np.max(size / noise))
 
 
 def output_chi_square(
@@ -185,9 +176,8 @@ def equation_design(
     terms: ComplexArray, model: DynamicModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Triangular factor (n_parameter, n_parameter) [1] of the normalised regressors, and amplification
-    (n_parameter,) [parameter units].
-
-    An error dH adds Z dH to the equation of motion, which is as large as Z H = B for dH as large as H.
+    (n_parameter,) [parameter units]. An error dH adds Z dH to the equation of motion, which is as large as Z
+    H = B for dH as large as H.
     """
     lengths, triangle, _ = scaled_triangle(statistics.stacked_terms(terms).T)
     forces = np.sqrt(terms.shape[1]) * np.linalg.norm(model.whole(values).force)
@@ -218,9 +208,8 @@ def solve_scaled(columns: FloatArray, right_side: FloatArray) -> tuple[FloatArra
 
 
 def inverse_of(linear: Linearisation) -> FloatArray:
-    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation.
-
-    FitError for linearly dependent columns.
+    """(J^T J)^-1 (n_parameter, n_parameter) [parameter units squared] of a linearisation. FitError for
+    linearly dependent columns.
     """
     return _invert(linear.triangle, linear.scale, linear.n_equation)[0]
 
@@ -240,7 +229,6 @@ def _invert(
 
 
 def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """One regression: estimates and their covariance from its residual variance."""
     columns = statistics.stacked_terms(terms).T
     side = statistics.stack(right_side.reshape(-1))
     if side.size <= columns.shape[1]:
@@ -253,7 +241,6 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
 
 
 def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
-    """(rows of the equation of motion, parameters) of every group of rows with common parameters."""
     n_dof = model.constant.mass.shape[0]
     acts = [
         np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1)
@@ -332,7 +319,6 @@ def instrument_step(
 def _iterate(
     measured: Measured, model: DynamicModel, equation: Regression, values: FloatArray
 ) -> tuple[FloatArray, bool, int]:
-    """(estimate, True if converged, iterations)."""
     last: ComplexArray | None = None
     for iteration in range(1, MAX_ITERATIONS + 1):
         response = model.receptance(values, measured.omega)
@@ -364,11 +350,12 @@ def _sandwich(
     measured: Measured, model: DynamicModel, equation: Regression, instruments: FloatArray, values: FloatArray
 ) -> FloatArray:
     """Covariance of the estimate from the noise of the FRF or, if unknown, from the residual (White)."""
-    scores = _scores if has_noise(measured) else _residual_scores
-    middle = scores(measured, model, equation, instruments, values)
+    if has_noise(measured):
+        middle = _scores(measured, model, equation, instruments, values)
+    else:
+        middle = _residual_scores(measured, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ equation.rows.T)
-    covariance: FloatArray = bread @ middle @ bread.T
-    return covariance
+    return np.asarray(bread @ middle @ bread.T)
 
 
 def _scores(
@@ -381,27 +368,21 @@ def _scores(
     turned = np.einsum("lab,ij->laibj", z, np.eye(n_input)).reshape(n_line, n_output * n_input, -1)
     omega = turned @ measured.covariance @ turned.conj().swapaxes(1, 2)
     rows = complex_rows(instruments.T, n_line).swapaxes(1, 2)
-    middle: FloatArray = 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
-    return middle
+    return np.asarray(0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real)
 
 
 def _residual_scores(
-    measured: Measured,
-    model: DynamicModel,  # noqa: ARG001 (one signature for both)
-    equation: Regression,
-    instruments: FloatArray,
-    values: FloatArray,
+    measured: Measured, equation: Regression, instruments: FloatArray, values: FloatArray
 ) -> FloatArray:
     """sum over lines of g g^T, g = V^T e of one line, enlarged by n / (n - k)."""
     products = instruments * statistics.stack(equation.residual(values).reshape(-1))
     by_line = products.reshape(values.size, 2, measured.omega.size, -1).sum(axis=(1, 3))
-    middle: FloatArray = by_line @ by_line.T * (measured.n_equation / (measured.n_equation - values.size))
-    return middle
+    n = measured.n_equation
+    return np.asarray(by_line @ by_line.T * (n / (n - values.size)))
 
 
 def _weighted_columns(terms: ComplexArray, equation: Regression) -> FloatArray:
-    weights = equation.line_weights
-    return statistics.stacked_terms(terms if np.all(weights == 1) else terms * weights[:, None, None])
+    return statistics.stacked_terms(terms * equation.line_weights[:, None, None])
 
 
 def _change(new: NDArray[np.inexact], old: NDArray[np.inexact]) -> float:

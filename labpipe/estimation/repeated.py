@@ -1,6 +1,5 @@
-"""A test of several recordings, or hits, of the same FRFs: each is fitted alone, and the parameters are means
-of these repeats, with the part between them and the model error that they share. Where they follow the level
-of the force, they are stated at the middle one; where they drift, in the middle.
+"""A test of several recordings, or hits, of the same FRFs: each is fitted alone, and parameters are means of
+these repeats. What follows the level of the force is stated at the middle one, what drifts in the middle.
 """
 
 from __future__ import annotations
@@ -50,8 +49,6 @@ Fitting = Callable[[FrequencyResponse, FitSettings, bool], tuple[Fit, ...]]
 
 @dataclass(frozen=True)
 class _Test:
-    """A test of several recordings, and how one of them is fitted."""
-
     response: FrequencyResponse
     settings: FitSettings
     fitting: Fitting
@@ -222,12 +219,20 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
             )
         else:
             stated.append(parameter)
+    # Beside the parts of given numbers, those of noise and repeats.
+    random = {p.name: _random(p) for p in stated if p.name in means}
     return replace(
         pooled,
         parameters=tuple(stated),
+        budget=None if pooled.budget is None else pooled.budget.with_random(random),
         findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
         notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )
+
+
+def _random(parameter: Parameter) -> float:
+    full, systematic = parameter.full_error or 0.0, parameter.systematic or 0.0
+    return float(np.sqrt(max(full**2 - systematic**2, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -281,8 +286,8 @@ def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> fl
 
 
 def _common(pooled: Fit, repeats: Sequence[Fit], test: _Test) -> tuple[Parameter, ...]:
-    """The parameters of the aligned mean: the mean residual of all repeats on the curve of the pooled fit has
-    the model error that they share, and no longer what moved between them.
+    """Of the aligned mean: the mean residual of all repeats on the curve of the pooled fit has the model
+    error that they share, and no longer what moved between them.
     """
     curves = [fit.curve for fit in repeats if fit.curve is not None]
     if pooled.curve is None or len(curves) < len(repeats):
@@ -403,7 +408,6 @@ def _wording(used: int, groups: Sequence[str], test: _Test, course: _Course | No
 def _findings(
     names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test, course: _Course | None
 ) -> list[Finding]:
-    """Notes on repeats that stand out or drift, and a warning where they are two populations."""
     what = test.response.repeats_are
     if kept.two_populations:
         message = (

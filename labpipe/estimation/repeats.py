@@ -1,9 +1,7 @@
-"""The mean of repeats and its interval: what hits, decays, recordings or points that measure one quantity say
-together.
+"""The mean of hits, decays, recordings or points that measure one quantity, and its interval.
 
 y_i = mu + x_i beta + u_i + e_i: e_i noise of known variance v_i, u_i ~ (0, tau^2) between the repeats. The
-interval of mu holds both. It does not hold an error that all repeats share; the scatter of repeats cannot
-show that.
+interval of mu holds both, but no error that all repeats share, which their scatter cannot show.
 """
 
 from __future__ import annotations
@@ -73,10 +71,9 @@ def kept_repeats(
     """Drops repeats beyond k sqrt(MAD^2 + v_i) in any of their quantities, k = 7 for n < 8, else 4.5; none
     for n < 5.
 
-    *values*, *variances* (n, n_quantity) [any unit, its square]; with a *covariate* (n,) [any unit] residuals
-    of a line of least absolute deviations are judged, with *groups* (n,) the values less their group's
-    median. More than a quarter outside, or several at one end of the order, are two populations, and all
-    stay. Equation (repeats-outliers).
+    *values*, *variances* (n, n_quantity) [any unit, its square]; judged are residuals of a line of least
+    absolute deviations over a *covariate* (n,) [any unit], or values less the median of their *groups* (n,).
+    More than a quarter outside, or several at one end, are two populations. Equation (repeats-outliers).
     """
     n, n_group = len(values), len(set(groups))
     if n - max(n_group - 1, 0) < LEAST_FOR_OUTLIERS:
@@ -100,7 +97,6 @@ def kept_repeats(
 
 
 def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
-    """Lines of least absolute deviations at the covariate, (n, n_quantity), by reweighted least squares."""
     columns = np.stack([np.ones_like(covariate), covariate - np.mean(covariate)], axis=1)
     lines = np.empty_like(values)
     for number, y in enumerate(values.T):
@@ -118,11 +114,10 @@ def repeat_mean(
 ) -> RepeatMean:
     """The mean of two repeats or more with its 95 % interval under a half-Cauchy prior of *scale* on tau.
 
-    *values* (n,) [any unit] in the order of recording, *variances* (n,) of their noise alone, *covariate*
-    (n,) that is 0 where the value is stated. On tau = scale tan(pi u / 2) each point weighs exp(1/2 sum ln w
-    - 1/2 ln det X'WX - 1/2 sum w r^2), w = 1 / (v + tau^2); the interval is that of the mixture of normal
-    distributions of mu. Where neighbours in time are alike it is longer. FitError for fewer repeats than
-    unknowns and one. Equations (repeats-mean) and (repeats-order).
+    *values* (n,) [any unit] in the order of recording, *variances* (n,) of their noise, *covariate* (n,) that
+    is 0 where the value is stated. On tau = scale tan(pi u / 2) each point weighs exp(1/2 sum ln w - 1/2 ln
+    det X'WX - 1/2 sum w r^2), w = 1 / (v + tau^2); the interval is that of the mixture, longer where
+    neighbours in time are alike. FitError for too few repeats. Equations (repeats-mean) and (repeats-order).
     """
     columns = design(values, variances, covariate)
     n, n_column = columns.shape
@@ -164,10 +159,8 @@ def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | No
 
 
 def follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -> bool:
-    """Whether *values* (n,) [any unit], *variances* (n,) of their noise, follow the *covariate* (n,) [1] by
-    more than two standard errors by Hartung and Knapp.
-
-    Not of fewer than five, nor of conditions within a quarter of each other.
+    """Whether five *values* (n,) [any unit] or more, *variances* (n,) of their noise, follow a *covariate*
+    (n,) [1] of some range by more than two standard errors by Hartung and Knapp.
     """
     if values.size < LEAST_FOR_COURSE or np.ptp(covariate) < LEAST_RANGE:
         return False
@@ -192,9 +185,8 @@ def drifts(values: FloatArray, variances: FloatArray, place: FloatArray) -> bool
 
 
 def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray) -> float:
-    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter.
-
-    *columns* (n, n_column) [1].
+    """tau^2 [unit^2] at which sum w r^2 = n - p, 0 where noise alone explains the scatter. *columns* (n,
+    n_column) [1].
     """
     freedom = values.size - columns.shape[1]
 
@@ -212,9 +204,7 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
 
 def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
     """Value and variance q (X'WX)^-1_11 with q = sum w r^2 / (n - p), w = 1/(v + tau^2): the mean of a known
-    group.
-
-    *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation
+    group. *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation
     (repeats-group).
     """
     weights = 1 / (variances + paule_mandel(values, variances, columns))
@@ -225,9 +215,8 @@ def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray
 
 
 def groups_of(patterns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """The pattern that each of the *names* of recordings matches, which is its group.
-
-    ConfigError for a name that does not match one of them, and where all are of one group.
+    """The pattern that each of the *names* of recordings matches, which is its group. ConfigError for a name
+    that does not match one of them, and where all are of one group.
     """
     groups = []
     for name in names:

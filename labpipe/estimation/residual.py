@@ -41,12 +41,11 @@ def line_scatter(
     """sum over lines l, d of w_d g_l g_{l+d}^T, with g_l = (J^T J)^-1 J_l^T (1 - H_ll)^-1 r_l and w_d = 1 - d
     / (D + 1).
 
-    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1]: real parts,
-    then imaginary parts. (1 - H_ll)^-1 undoes what the line itself takes from its residual (jackknife,
-    MacKinnon and White 1985). The degrees of freedom are those of a quadratic form of independent lines (Bell
-    and McCaffrey 2002, Survey Methodology 28:169). *alone*: the noise of every line is its own, so that D = 0
-    and only its size differs (HC3, MacKinnon and White 1985). numpy.linalg.LinAlgError for dependent columns.
-    Equation (est-line-scatter).
+    *jacobian* (n_equation, n_parameter) [1 per parameter unit], *residual* (n_equation,) [1]: real before
+    imaginary parts. (1 - H_ll)^-1 undoes what the line takes from its own residual (jackknife, MacKinnon and
+    White 1985). Degrees of freedom of a quadratic form of independent lines (Bell and McCaffrey 2002, Survey
+    Methodology 28:169). *alone*: D = 0, lines differ in the size of their noise (HC3). LinAlgError for
+    dependent columns. Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
     by_line = _by_line(orthogonal, n_line)
@@ -73,7 +72,6 @@ def jackknife_residual(leverage: FloatArray, residual: FloatArray) -> FloatArray
 
 
 def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
-    """Columns (n_equation, n) by line, (n_line, n_equation / n_line, n)."""
     n = columns.shape[1]
     return columns.reshape(2, n_line, -1, n).swapaxes(0, 1).reshape(n_line, -1, n)
 
@@ -107,7 +105,6 @@ SAID = (
 @dataclass(frozen=True)
 class Structure:
     """*p_value*: probability [1] of so much structure in noise, the best of all statistics counted once.
-
     *said*: what it looks like.
     """
 
@@ -117,10 +114,8 @@ class Structure:
 
 @dataclass(frozen=True)
 class Null:
-    """The noise that a residual is held against.
-
-    *shared*: its correlation from line to line, None for independent lines. *uneven*: its power is a + b
-    |H|^2 along the lines, with a and b from the residual, else the same at all. *n_draw*: most draws.
+    """The noise that a residual is held against: *shared* from line to line, None for independent lines;
+    *uneven*: of the power a + b |H|^2, a and b from the residual, else even. *n_draw*: most draws.
     """
 
     shared: SharedNoise | None = None
@@ -132,10 +127,8 @@ def residual_structure(
     residual: FloatArray, jacobian: FloatArray, size: FloatArray, null: Null | None = None
 ) -> Structure | None:
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per
-    parameter unit].
-
-    *size* (n_line, n_element) [m/N]: amplitude of the response. Real parts line by line stand before
-    imaginary ones. None where the lines are too few for any structure. Equation (est-structure).
+    parameter unit]; *size* (n_line, n_element) [m/N] of the response. None of too few lines. Equation
+    (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + DEGREE + 1:
@@ -172,7 +165,6 @@ def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
 
 
 def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
-    """Noise of unit variance, (2 n_line n_element, n_draw) [1]: real parts, then imaginary parts."""
     rng = np.random.default_rng(n_line)
     if shared is None:
         return rng.standard_normal((2 * n_line * n_element, n_draw))
@@ -195,7 +187,6 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
-    """The least p-value of *observed* statistics (4,), against the least ones of the draws (n_draw, 4)."""
     n_draw = draws.shape[0]
     p_values = (1 + np.sum(draws >= observed, axis=0)) / (n_draw + 1)
     ranks = n_draw - np.argsort(np.argsort(draws, axis=0), axis=0)

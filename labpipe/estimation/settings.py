@@ -36,13 +36,12 @@ class ModelKind:
     """How fits of a model are made, and what is true of it.
 
     fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak.
-    section: key of the model's own *settings* in a fit, and an *example* of it, *optional* where all have
-    defaults. earlier: name of the fit whose result this one begins with, or empty; begin: the settings with
-    that result among *fits*.
+    section: key of the model's own *settings*, and an *example*, *optional* where all have defaults. earlier:
+    name of the fit whose result this one begins with; begin: the settings with that result among *fits*.
 
     keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood:
-    those that only an estimator by likelihood takes. estimators: names of those that fit it; empty: any.
-    equations: of a model linear in its parameters, from ports and settings; else None.
+    those that only an estimator by likelihood takes. estimators that fit it; empty: any. equations of a model
+    linear in its parameters, from ports and settings.
 
     one_frf: k, c and m of one FRF. one_mode: of a mass on a spring, with f_n and zeta. matrix_modes: the
     modes of its K, C and M are derived. one_direction: uncoupled stiffness and damping for each direction.
@@ -116,9 +115,8 @@ class Sliding(Settings):
 
 @dataclass(frozen=True)
 class Support(Settings):
-    """Stiffness and damping of the support, subtracted from the direct coefficients.
-
-    Their uncertainties are sources of the budget.
+    """Stiffness and damping of the support, subtracted from the direct coefficients. Their uncertainties are
+    sources of the budget.
     """
 
     stiffness: Uncertain = setting(
@@ -130,9 +128,8 @@ class Support(Settings):
 @dataclass(frozen=True)
 class FitSettings(Settings):
     """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the
-    section that its model has.
-
-    *between*: scatter between repeats of a test, from the section ``uncertainty:``.
+    section that its model has. *between*: scatter between repeats of a test, from the section
+    ``uncertainty:``.
     """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
@@ -247,7 +244,6 @@ class FitSettings(Settings):
         return self.mass == ESTIMATE and "m" not in dict(self.fixed)
 
     def _check_keys(self) -> None:
-        """ConfigError for an estimator that does not fit the model, and for keys that change nothing."""
         kind = self.kind
         every = {name: estimator_of(name) for name in ESTIMATORS}
         able = kind.estimators or [name for name, by in every.items() if kind.one_frf or not by.one_frf]
@@ -269,7 +265,6 @@ class FitSettings(Settings):
                 raise SettingError(key, f"'{key}' is not for estimator {self.estimator}", hint)
 
     def _check_combinations(self) -> None:
-        """ConfigError for keys that change nothing, or have no meaning, beside others."""
         law, free_mass = self.damping != VISCOUS, self.mass == ESTIMATE
         either = "leave one of them out"
         what, is_pool = "'repeat_groups' needs every recording fitted alone", self.repeats == "pool"
@@ -305,7 +300,6 @@ class FitSettings(Settings):
             _refuse(self.kind.of_base and free_mass and there, key, what, "for example mass: 0.92 kg")
 
     def _check_bands(self) -> None:
-        """ConfigError for bands or ports that are set twice."""
         sliding, ports = self.sliding, self.input or self.output
         what = "width and step of sliding bands must be positive"
         _refuse(sliding and min(sliding.width, sliding.step) <= 0, "sliding", what)
@@ -317,7 +311,6 @@ class FitSettings(Settings):
 
 
 def _refuse(wrong: object, field: str, what: str, hint: str = "") -> None:
-    """SettingError about the key *field* where something is *wrong*."""
     if wrong:
         raise SettingError(field, what, hint)
 
@@ -368,5 +361,4 @@ def models_text(key: str) -> str:
 
 
 def _one_of(names: Sequence[str]) -> str:
-    """a, b or c."""
     return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

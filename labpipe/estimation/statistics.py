@@ -21,11 +21,10 @@ class Estimate:
     """Result of an estimator: parameters, their covariance, goodness of fit.
 
     values (n_parameter,) [parameter units]; covariance (n_parameter, n_parameter); scaled_design
-    (n_parameter, n_parameter): triangular factor of the real design or Jacobian with columns of length 1;
-    dof: real equations - parameters; parameter_dof (n_parameter,): the same of each parameter's regression,
-    where a fit is of several (ls: one per direction), else None. amplification (n_parameter,) [parameter
-    units]: largest change of a parameter per relative error of the FRF; squares: sum of the weighted
-    residual's squares [1]; both None where the estimator does not compute them.
+    (n_parameter, n_parameter): triangular factor of the design or Jacobian with columns of length 1; dof:
+    equations - parameters; parameter_dof (n_parameter,): that of each parameter's regression where a fit is
+    of several (ls: one per direction). amplification (n_parameter,) [parameter units]: largest change per
+    relative error of the FRF; squares: of the weighted residual [1]; both None where not computed.
     """
 
     values: FloatArray
@@ -216,9 +215,8 @@ class Pulls:
     uncertainty away from what was stated.
 
     likely (n_source,) [standard uncertainties]: the most likely change of each number; asked, error
-    (n_source,): what the data by themselves ask for, the others within what was stated, and its standard
-    error, large where they say nothing. explained [1]: what the residual's sum of squares loses by the most
-    likely changes of all.
+    (n_source,): what the data ask for, the others within what was stated, and its standard error, large where
+    they say nothing. explained [1]: what the residual's squares lose by the most likely changes.
     """
 
     likely: FloatArray
@@ -266,9 +264,9 @@ def pulls_of(
     """The most likely changes t of stated numbers, min over t and the parameters of |r + D^T t|^2 / s +
     |t|^2.
 
-    residual r (n_datum,) [1] at the minimum; slopes (n_datum, n_parameter) [1/parameter unit] and covariance
-    (n_parameter, n_parameter) [parameter units] as for the steps; *noise* s [1]: variance of a projection of
-    the residual by noise. Equation (unc-explained).
+    residual r (n_datum,) [1] at the minimum; slopes (n_datum, n_parameter) [1/parameter unit], covariance
+    (n_parameter, n_parameter) [parameter units]; *noise* s [1]: variance of a projection by noise. Equation
+    (unc-explained).
     """
     left = stated.changes + steps_by(stated.changes, slopes, covariance) @ slopes.T
     information = left @ stated.changes.T / noise

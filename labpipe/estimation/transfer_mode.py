@@ -34,19 +34,12 @@ class TransferMode:
     """
 
     name: str = "sdof"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return ("f_n", "zeta", "modal_constant", "modal_constant_quadrature", "residual_re", "residual_im")
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return ("Hz", "1", "1/kg", "1/kg", "m/N", "m/N")
-
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """None: the parameters have no matrices."""
-        return ()
+    names: tuple[str, ...] = (
+        *("f_n", "zeta", "modal_constant", "modal_constant_quadrature", "residual_re", "residual_im"),
+    )
+    units: tuple[str, ...] = ("Hz", "1", "1/kg", "1/kg", "m/N", "m/N")
+    # The parameters have no matrices.
+    terms: tuple[Term, ...] = ()
 
     def start_of(self, values: FloatArray) -> FloatArray:
         """From start values (6,) of a mode with a residue of any phase [parameter units]."""
@@ -69,32 +62,18 @@ class TransferMode:
         below = 1 / _denominator(parameters, omega)
         slope = -complex(*parameters[2:4]) * below**2
         unit = np.ones(omega.size, np.complex128)
-        rows = [
-            slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega),
-            slope * 2j * w_n * omega,
-            below,
-            1j * below,
-            unit,
-            1j * unit,
-        ]
-        return np.array(rows)[:, :, None, None]
+        of_mode = [slope * 2 * np.pi * (2 * w_n + 2j * zeta * omega), slope * 2j * w_n * omega]
+        return np.array([*of_mode, below, 1j * below, unit, 1j * unit])[:, :, None, None]
 
 
 @dataclass(frozen=True)
 class DrivingMode(TransferMode):
     """H(w) = 1 / (k + j w c - w^2 m) + C + j D at a driving point: a mode, and a constant for those outside
-    the band.
-
-    Parameters: k [N/m], c [N.s/m], m [kg] of the mode, C and D [m/N]. Equation (est-driving-mode).
+    the band. Parameters: k [N/m], c [N.s/m], m [kg] of the mode, C and D [m/N]. Equation (est-driving-mode).
     """
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return ("k", "c", "m", "residual_re", "residual_im")
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        return ("N/m", "N.s/m", "kg", "m/N", "m/N")
+    names: tuple[str, ...] = ("k", "c", "m", "residual_re", "residual_im")
+    units: tuple[str, ...] = ("N/m", "N.s/m", "kg", "m/N", "m/N")
 
     def start_of(self, values: FloatArray) -> FloatArray:
         """From start values (6,) of a mode whose residue has the size 1 / m: (5,) [parameter units]."""
@@ -134,6 +113,8 @@ def is_transfer(output: Port, force: Port) -> bool:
     if not output.dof or not force.dof or output.dof == force.dof:
         return False
     angles = angle_of(output), angle_of(force)
+    if output.place and force.place and output.place != force.place:
+        return True
     if not (_is_place(output) and _is_place(force)):
         return angles == (None, None) and (_is_place(output) or _is_place(force))
     if angles[0] is not None and angles[1] is not None:
@@ -142,13 +123,8 @@ def is_transfer(output: Port, force: Port) -> bool:
 
 
 def _is_place(port: Port) -> bool:
-    if not port.dof:
-        return False
-    return (
-        angle_of(port) is not None
-        or port.dof not in (port.label, port.channel)
-        or any(letter.isdigit() for letter in port.dof)
-    )
+    is_named = port.dof not in (port.label, port.channel) or any(letter.isdigit() for letter in port.dof)
+    return bool(port.dof) and (angle_of(port) is not None or is_named)
 
 
 def place_notes(setup: Setup) -> tuple[str, ...]:
@@ -180,8 +156,7 @@ def transfer_start(measured: Measured) -> FloatArray:
     h, w = measured.matrix[:, 0, 0], measured.omega
     if h.size < 5:
         raise FitError(f"{h.size} lines cannot determine a mode and its residual term", hint="widen the band")
-    weight = np.ones(h.size, np.complex128)
-    unit = np.ones(h.size, np.complex128)
+    weight = unit = np.ones(h.size, np.complex128)
     start = None
     for _ in range(REWEIGHTINGS):
         # C + j D times the denominator is a polynomial: its terms in w^2 and w are columns of their own.
@@ -210,7 +185,6 @@ def peak_starts(measured: Measured) -> list[FloatArray]:
 
 
 def _with_amounts(measured: Measured, start: FloatArray) -> FloatArray:
-    """Start values (6,) of w_n^2 and 2 zeta w_n (2,) with the residue and the constant of least squares."""
     h, w, unit = measured.matrix[:, 0, 0], measured.omega, np.ones(measured.omega.size, np.complex128)
     below = start[0] - w**2 + 1j * w * start[1]
     rows = stack(np.array([1 / below, 1j / below, unit, 1j * unit])).T

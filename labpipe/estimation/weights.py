@@ -8,7 +8,6 @@ and Kraus 2000, IEE Proc. Radar 147:162).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -28,9 +27,7 @@ CACHED_NUMBERS = 1 << 16
 @dataclass(frozen=True)
 class ProductWeights:
     """W_o (n_line, n_output, n_output) of the *outputs* and W_i (n_line, n_input, n_input) of the *inputs*,
-    their product [N/m]: FRFs H become uncorrelated as W_o H W_i^T.
-
-    Equation (est-product-weights).
+    their product [N/m]: FRFs H become uncorrelated as W_o H W_i^T. Equation (est-product-weights).
     """
 
     outputs: ComplexArray
@@ -42,8 +39,7 @@ class ProductWeights:
 
     def whitened(self, values: ComplexArray) -> ComplexArray:
         """FRFs (..., n_line, n_output, n_input) [m/N] uncorrelated and of variance 1, same shape [1]."""
-        white: ComplexArray = self.outputs @ values @ self.inputs.swapaxes(1, 2)
-        return white
+        return np.asarray(self.outputs @ values @ self.inputs.swapaxes(1, 2))
 
     def whitened_columns(self, by_line: ComplexArray) -> ComplexArray:
         """Terms (n_line, n_output, n_input, n_term) [m/N per unit of the term] likewise, (n_line, n_output *
@@ -51,8 +47,7 @@ class ProductWeights:
         """
         n_line, n_output, _, n_term = by_line.shape
         across = (self.outputs @ by_line.reshape(n_line, n_output, -1)).reshape(by_line.shape)
-        white: ComplexArray = (self.inputs[:, None] @ across).reshape(n_line, -1, n_term)
-        return white
+        return np.asarray((self.inputs[:, None] @ across).reshape(n_line, -1, n_term))
 
 
 def correlation_factors(
@@ -88,17 +83,16 @@ CACHED_TERMS = 1 << 16
 
 
 # A whitener (n_line, n, n) [N/m], its diagonals (n_line, n) where all else is zero, or its factors.
-Weights: TypeAlias = ComplexArray | ProductWeights
+Weights = ComplexArray | ProductWeights
 
 
 @dataclass(frozen=True)
 class WeightUncertainty:
     """Effect of weights from an estimated covariance on a fit; all 1 and infinite for a known covariance.
 
-    excess: E[d^H S^-1 d] / E[d^H C^-1 d], by which the weighted residual is too large. inflation: true
-    covariance of the estimates / (J^H S^-1 J)^-1, with lost efficiency and noise shared by lines.
-    residual_dof: second degree of freedom of the F distribution of the reduced chi-square. shared: ratio of
-    equations to degrees of freedom of the residual, since lines share noise.
+    excess: E[d^H S^-1 d] / E[d^H C^-1 d]. inflation: true covariance of the estimates / (J^H S^-1 J)^-1.
+    residual_dof: second degree of freedom of the F distribution of the reduced chi-square. shared: equations
+    per degree of freedom of the residual, since lines share noise.
     """
 
     excess: float = 1.0
@@ -108,9 +102,7 @@ class WeightUncertainty:
 
     def p_value(self, reduced: float, dof: int) -> float:
         """Probability of a reduced chi-square at least this large for a correct model; chi-square, or F
-        scaled to the mean 1.
-
-        Equation (est-chi2).
+        scaled to the mean 1. Equation (est-chi2).
         """
         effective_dof = dof / self.shared
         if not np.isfinite(self.residual_dof):
@@ -123,9 +115,8 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
     *dof* of the fit.
 
     s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies
-    little from line to line. The inflation is slightly too large when neighbouring lines have a common noise
-    estimate. FitError for nu <= n + 1: the weighted residual has no variance, or no mean. Equation
-    (est-weights).
+    little from line to line, slightly too large where neighbours have a common noise estimate. FitError for
+    nu <= n + 1. Equation (est-weights).
     """
     nu, n = measured.noise_dof, measured.matrix.shape[1]
     if not np.isfinite(nu):
@@ -148,12 +139,11 @@ def fitted_uncertainty(
     inverse: FloatArray,
 ) -> tuple[FloatArray, WeightUncertainty]:
     """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the uncertainty of the
-    residual of a fit.
+    residual of a fit with *jacobian* (n_equation, n_parameter) and *inverse* (J^T J)^-1.
 
-    *jacobian* (n_equation, n_parameter) of the whitened residual and *inverse* = (J^T J)^-1; *uncertainty* of
-    weight_uncertainty, whose *inflation* and *shared* the matrix *noise* replaces where it is at hand.
-    Estimates of the noise under an exponential window are as correlated as the noise: their errors are a
-    common factor of a resonance's weights and cost no efficiency. Equation (est-ml-covariance).
+    The matrix *noise* replaces *inflation* and *shared* of the *uncertainty*. Under an exponential window
+    errors of the noise are a common factor of a resonance's weights, and cost no efficiency. Equation
+    (est-ml-covariance).
     """
     if noise is None:
         return uncertainty.inflation * inverse, uncertainty
@@ -181,7 +171,7 @@ def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
-    """The second degree of freedom of the F distribution with the variance of the weighted residual.
+    """Of F with the variance of the weighted residual.
 
     Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q
     forces, W lines with a common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2:
@@ -255,13 +245,11 @@ def whitener(measured: Measured) -> ComplexArray:
     """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError for a zero variance or a singular C."""
     std, scaled = _scale(measured)
     _check_regular(measured, np.linalg.eigvalsh(scaled)[:, 0])
-    weights: ComplexArray = np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
-    return weights
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :])
 
 
 def fit_weights(measured: Measured) -> Weights:
     """The whitener, or equal weights where no noise is known; in the shortest form that the covariance has.
-
     FitError as for whitener.
     """
     if not has_noise(measured):
@@ -291,26 +279,20 @@ def _check_regular(measured: Measured, smallest: FloatArray) -> None:
     n = measured.matrix[0].size
     singular = _is_singular(smallest, n)
     if np.any(singular):
-        hint = "average more periods or blocks, or name fewer responses with `output`"
-        raise FitError(
-            f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}", hint=hint
-        )
+        what = f"the covariance of the {n} FRFs is singular at {_first(measured, singular[:, None])}"
+        raise FitError(what, hint="average more periods or blocks, or name fewer responses with `output`")
 
 
 def singular_lines(measured: Measured) -> BoolArray:
-    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line.
-
-    FitError for a zero variance.
+    """Whether the covariance of a line (n, n) [m^2/N^2] has no inverse, for every line. FitError for a zero
+    variance.
     """
     scaled = _scale(measured)[1]
     return _is_singular(np.linalg.eigvalsh(scaled)[:, 0], scaled.shape[1])
 
 
 def _scale(measured: Measured) -> tuple[FloatArray, ComplexArray]:
-    """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs.
-
-    FitError for a zero variance.
-    """
+    """Standard deviations (n_line, n) [m/N] and correlations (n_line, n, n) [1] of the FRFs."""
     assert measured.covariance is not None
     std = _deviations(measured)
     return std, measured.covariance / (std[:, :, None] * std[:, None, :])
@@ -321,10 +303,8 @@ def _deviations(measured: Measured) -> FloatArray:
     assert measured.covariance is not None
     std: FloatArray = np.sqrt(np.einsum("lii->li", measured.covariance).real)
     if np.any(std == 0):
-        raise FitError(
-            f"the variance of the FRF is zero at {_first(measured, std == 0)}",
-            hint="leave this line out with `exclude`",
-        )
+        what = f"the variance of the FRF is zero at {_first(measured, std == 0)}"
+        raise FitError(what, hint="leave this line out with `exclude`")
     return std
 
 
@@ -334,9 +314,7 @@ def _is_singular(smallest: FloatArray, n: int) -> BoolArray:
 
 def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
     """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of
-    variance 1.
-
-    *whitener* (n_line, n, n) [N/m], or its diagonals (n_line, n). Equation (est-whitened).
+    variance 1. Equation (est-whitened).
     """
     flat, whitener = values.reshape(*values.shape[:-2], -1), short_weights(whitener)
     if isinstance(whitener, ProductWeights):
@@ -371,10 +349,7 @@ def white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> Com
     if isinstance(whitener, ProductWeights):
         return whitener.at(lines).whitened_columns(by_line)
     columns = by_line.reshape(by_line.shape[0], -1, by_line.shape[3])
-    white: ComplexArray = (
-        whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
-    )
-    return white
+    return np.asarray(whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None])
 
 
 def is_short(weights: Weights) -> bool:
@@ -397,6 +372,5 @@ def short_weights(whitener: Weights) -> Weights:
 
 
 def _first(measured: Measured, at: BoolArray) -> str:
-    """The first line, in Hz, at which *at* (n_line, n) holds for any FRF."""
     line = int(np.argmax(np.any(at, axis=1)))
     return f"{measured.omega[line] / (2 * np.pi):g} Hz"

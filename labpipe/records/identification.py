@@ -208,7 +208,12 @@ class Fit:
         """The fit with the values of its model alone: what the model lacks, it lacks in another test of the
         same structure as well.
         """
-        return replace(self, parameters=tuple(parameter.as_fitted for parameter in self.parameters))
+        noise = {p.name: p.std_error for p in self.parameters if p.fitted is not None and p.std_error}
+        return replace(
+            self,
+            parameters=tuple(parameter.as_fitted for parameter in self.parameters),
+            budget=self.budget.with_random(noise) if self.budget is not None and noise else self.budget,
+        )
 
     def detail(self, kind: type[Detail]) -> Detail | None:
         """The detail of that class; None where the fit has none."""

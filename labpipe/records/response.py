@@ -201,6 +201,11 @@ class Port:
         # A file gives mappings.
         object.__setattr__(self, "uncertainties", as_uncertainties(self.uncertainties))
 
+    @property
+    def place(self) -> str:
+        """The point that a dof such as 3.x names before the direction; empty where it is that alone."""
+        return "" if " " in self.dof else self.dof.rpartition(".")[0]
+
     def answers_to(self, name: str) -> bool:
         """Whether a user who writes *name* may mean this port (label, channel or dof)."""
         return name in (self.label, self.channel, self.dof)

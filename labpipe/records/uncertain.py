@@ -236,6 +236,11 @@ class Budget:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(total > 0, self.combined**4 / total, np.inf)
 
+    def with_random(self, errors: Mapping[str, float]) -> Budget:
+        """The budget with other random *errors* [unit of the parameter] by the names of parameters."""
+        pairs = zip(self.names, self.random, strict=True)
+        return replace(self, random=np.array([errors.get(name, error) for name, error in pairs]), drawn=None)
+
     def with_sources(self, sources: tuple[Uncertainty, ...], changes: FloatArray) -> Budget:
         """The budget with further sources and their changes (n_source, n_parameter) [unit of the parameter].
 

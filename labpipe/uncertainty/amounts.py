@@ -25,9 +25,8 @@ def with_error(name: str, unit: str, value: float, std_error: float, quantile: f
 
 
 def from_log(name: str, unit: str, log: float, log_error: float, quantile: float) -> Parameter:
-    """exp(log) with the interval exp(log +- quantile log_error), wider upwards.
-
-    Its standard error to first order. Equation (comp-log).
+    """exp(log) with the interval exp(log +- quantile log_error), wider upwards. Its standard error to first
+    order. Equation (comp-log).
     """
     value = math.exp(log)
     interval = (math.exp(log - quantile * log_error), math.exp(log + quantile * log_error))
@@ -68,12 +67,12 @@ def with_budget(
     degrees of freedom behind the random parts, None where these are known. Intervals of the *logarithmic*
     amounts are those of a factor.
     """
+    if not sources:
+        return tuple(amounts), None
     random = full_errors(amounts)
     whole = Budget(tuple(amount.name for amount in amounts), random, dof, tuple(sources), changes)
     smallest = CANCELLED * np.hypot(np.nan_to_num(random), whole.systematic)
     counted = np.where((np.abs(changes) > smallest) & np.isfinite(random), changes, 0.0)
-    if not sources:
-        return tuple(amounts), None
     kept = [number for number, row in enumerate(counted) if np.any(row)] or list(range(len(sources)))
     budget = replace(whole, sources=tuple(sources[number] for number in kept), changes=counted[kept])
     stated = list(contribute(with_systematic(amounts, budget), budget, INTERVAL))
@@ -96,9 +95,8 @@ def random_error(fit: Fit, parameter: Parameter) -> float | None:
 
 def common_changes(fits: Sequence[Fit], change_of: Callable[[Fit, str], float]) -> FloatArray:
     """Changes (n_source, n_fit) of one quantity of every fit [unit of the quantity] by one standard
-    uncertainty of every source.
-
-    *change_of*: of a fit and a source. Sources of one name are one error; none gives (0, n_fit).
+    uncertainty of every source. *change_of*: of a fit and a source. Sources of one name are one error; none
+    gives (0, n_fit).
     """
     sources = [() if fit.budget is None else fit.budget.sources for fit in fits]
     return matrix_of(
@@ -115,9 +113,8 @@ def parameter_changes(fits: Sequence[Fit], name: str) -> FloatArray:
 
 
 def change_in(fit: Fit, source: str, name: str) -> float:
-    """Change of a parameter [its unit] by one standard uncertainty of a source.
-
-    Zero where the fit has no such source or parameter.
+    """Change of a parameter [its unit] by one standard uncertainty of a source. Zero where the fit has no
+    such source or parameter.
     """
     if fit.budget is None or name not in fit.budget.names:
         return 0.0
@@ -125,9 +122,8 @@ def change_in(fit: Fit, source: str, name: str) -> float:
 
 
 def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
-    """Changes (n_source, n) [unit as given] from those of every value by source.
-
-    Zero where a value does not have a source.
+    """Changes (n_source, n) [unit as given] from those of every value by source. Zero where a value does not
+    have a source.
     """
     sources = dict.fromkeys(source for of_value in changes for source in of_value)
     return np.array([[of_value.get(source, 0.0) for of_value in changes] for source in sources]).reshape(
@@ -137,9 +133,7 @@ def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
 
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:
     """Standard errors (n,) of independent values, or the covariance (n, n) where *changes* (n_source, n) are
-    common to them.
-
-    V = diag(s^2) + sum over sources of c c^T [unit^2 of the values]. Equations (unc-common) and
-    (comp-covariance).
+    common to them. V = diag(s^2) + sum over sources of c c^T [unit^2 of the values]. Equations (unc-common)
+    and (comp-covariance).
     """
     return errors if not np.any(changes) else np.diag(errors**2) + changes.T @ changes

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,19 +25,13 @@ MOST_NAMED = 8
 COEFFICIENTS = ("N/m", "N.s/m")
 
 
-@dataclass(frozen=True)
-class TwoTests:
-    """The fits of two tests, of the groups *names* in order."""
-
-    names: tuple[str, str]
-    fits: tuple[tuple[Fit, ...], tuple[Fit, ...]]
+# The fits of two tests, in the order of the groups.
+TwoTests = tuple[tuple[Fit, ...], tuple[Fit, ...]]
 
 
 def holm(p_values: FloatArray) -> FloatArray:
     """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid
-    under any dependence.
-
-    Equation (comp-holm).
+    under any dependence. Equation (comp-holm).
     """
     order = np.argsort(p_values)
     steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
@@ -54,8 +47,8 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     both tests and therefore excluded. ConfigError for an unknown parameter, FitError without a common band.
     Equation (comp-bands).
     """
-    names = _parameters(settings, tests)
-    every = itertools.product(names, *tests.fits)
+    names = _parameters(settings, tests[0][0])
+    every = itertools.product(names, *tests)
     pairs = [(a, b, name) for name, a, b in every if (a.band_hz, a.term) == (b.band_hz, b.term)]
     usable = [(a, b, name) for a, b, name in pairs if _has_error(a, name) and _has_error(b, name)]
     if not usable:
@@ -64,10 +57,10 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
         )
     raw = [_test(a, b, name) for a, b, name in usable]
     corrected = holm(np.array([p for p, _ in raw]))
-    first, second = tests.names
+    first, second = settings.groups
     bands = tuple(
-        _band(f"{second} against {first}", *pair, reach, float(p))
-        for pair, (_, reach), p in zip(usable, raw, corrected, strict=True)
+        _band(f"{second} against {first}", *pair, ends, float(p))
+        for pair, (_, ends), p in zip(usable, raw, corrected, strict=True)
     )
     differing = [band for band in bands if band.p_value is not None and band.p_value < settings.level]
     verdict = "different" if differing else "no difference"
@@ -83,18 +76,18 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
             chance("p_value", float(np.min(corrected))),
         ),
         verdict=verdict,
-        statement=_statement(tests, bands, differing, verdict, settings.level, len(pairs) - len(usable)),
+        statement=_statement(settings, bands, differing, verdict, len(pairs) - len(usable)),
         condition=settings.group,
         bands=bands,
     )
 
 
 def _has_error(fit: Fit, name: str) -> bool:
-    return any(parameter.name == name and parameter.std_error for parameter in fit.parameters)
+    return any(p.name == name and p.std_error and p.ci95 is not None for p in fit.parameters)
 
 
-def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
-    names = [p.name for p in tests.fits[0][0].parameters if p.unit in COEFFICIENTS and not p.derived]
+def _parameters(settings: CompareSettings, fit: Fit) -> list[str]:
+    names = [p.name for p in fit.parameters if p.unit in COEFFICIENTS and not p.derived]
     if settings.parameter == ANY and ANY not in names:
         return names
     if settings.parameter == ANY:
@@ -106,23 +99,30 @@ def _parameters(settings: CompareSettings, tests: TwoTests) -> list[str]:
     return [settings.parameter]
 
 
-def _test(a: Fit, b: Fit, name: str) -> tuple[float, float]:
-    """Two-sided p-value of a difference, and half the width of its 95 % interval."""
+def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]:
+    """Two-sided p-value of a difference, and the 95 % interval of the ratio. It holds every ratio r for which
+    b - r a is no larger than its error (Fieller 1954); None where a may be zero.
+    """
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
     shared = float(np.linalg.norm(second - first))
     parts = np.append(errors, shared)
     total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, np.array([a.dof, b.dof, np.inf]))
-    t = (b.parameter(name).value - a.parameter(name).value) / total
-    return 2 * student_tail(abs(t), dof), student_quantile(0.975, dof) * total
+    old, new = a.parameter(name).value, b.parameter(name).value
+    square = student_quantile(0.975, dof) ** 2
+    below = old**2 - square * (errors[0] ** 2 + first @ first)
+    middle = old * new - square * (first @ second)
+    above = new**2 - square * (errors[1] ** 2 + second @ second)
+    root = np.sqrt(max(middle**2 - below * above, 0.0))
+    ends = None if below <= 0 else (float((middle - root) / below), float((middle + root) / below))
+    return 2 * student_tail(abs(new - old) / total, dof), ends
 
 
-def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) -> ComparedBand:
-    """The second group's value beside the first's; the ratio's interval is that of the difference."""
+def _band(
+    test: str, a: Fit, b: Fit, name: str, ends: tuple[float, float] | None, p_value: float
+) -> ComparedBand:
     old, new = a.parameter(name), b.parameter(name)
     assert new.ci95 is not None
-    ends = sorted((1 + (new.value - old.value + sign * reach) / old.value) for sign in (-1, 1))
-    ratio = new.value / old.value
     return ComparedBand(
         test,
         f"{name} of {a.term}" if a.term else name,
@@ -132,25 +132,24 @@ def _band(test: str, a: Fit, b: Fit, name: str, reach: float, p_value: float) ->
         ci95=new.ci95,
         other=old.value,
         other_ci95=old.ci95,
-        ratio=ratio,
-        ratio_ci95=(ends[0], ends[1]),
+        ratio=new.value / old.value if old.value else None,
+        ratio_ci95=ends,
         p_value=p_value,
     )
 
 
 def _statement(
-    tests: TwoTests,
+    settings: CompareSettings,
     bands: Sequence[ComparedBand],
     differing: Sequence[ComparedBand],
     verdict: str,
-    level: float,
     left_out: int,
 ) -> str:
-    first, second = tests.names
+    first, second = settings.groups
     result = (
         f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
     )
-    corrected = f" (Holm's correction, together at most {100 * level:g} % false alarms)."
+    corrected = f" (Holm's correction, together at most {100 * settings.level:g} % false alarms)."
     listed = [
         f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})"
         for band in differing[:MOST_NAMED]
@@ -162,9 +161,8 @@ def _statement(
 
 
 def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[tuple[str, str]]) -> TwoTests:
-    """The fits of the two groups; *groups*: (test, its group).
-
-    ConfigError for a group without a test or with several.
+    """The fits of the two groups; *groups*: (test, its group). ConfigError for a group without a test or with
+    several.
     """
     chosen = []
     for name in settings.groups:
@@ -176,4 +174,4 @@ def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[t
                 hint=f"known: {names}",
             )
         chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
-    return TwoTests((settings.groups[0], settings.groups[1]), (chosen[0], chosen[1]))
+    return chosen[0], chosen[1]

@@ -28,8 +28,7 @@ from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, 
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
 from labpipe.uncertainty.weighted import WeightedFit, dof_of_sum, repeatability, weighted_fit, weighted_mean
 
-# Trend of a parameter over a condition: weighted straight line or power law through the tests, and its
-# significance.
+# Trend of a parameter over a condition: weighted straight line or power law.
 
 DRAWN = 60
 
@@ -192,7 +191,7 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
     """ln(second / first) at every common condition (n,), its error, its changes by common sources (n_source,
     n) [1], which cancel as far as both change alike, and the degrees of freedom of the error.
     """
-    logs, errors = np.log(campaign.value), _errors(campaign)
+    errors, logs = _errors(campaign), np.log(campaign.value)
     relative = campaign.common / campaign.value
     groups = np.array([observation.group for observation in campaign.observations])
     for name in (first, second):
@@ -287,9 +286,8 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
 class Evidence:
     """Inputs of a comparison: fits and responses of the tests, and the settings of the fits.
 
-    *spectra* of tests that have no response. *conditions* of tests without a response (free decays), by their
-    names. *folder*: where the files lie that settings name; *theory*: in place of that of the file, by the
-    kind of comparison. *solved*: cache of theories matched to a fit, since several comparisons use the same.
+    *spectra*, and *conditions* by name, of tests without a response. *folder* of the files that settings
+    name; *theory* in place of that of the file. *solved*: cache of theories matched to a fit.
     """
 
     fits: tuple[Fit, ...]
@@ -326,9 +324,8 @@ class Evidence:
 
 
 def compare(settings: CompareSettings, evidence: Evidence, theory: Any = None) -> Comparison:
-    """The comparison of the settings; *theory*: in place of their bearing file.
-
-    LabpipeError where the tests do not allow it.
+    """The comparison of the settings; *theory*: in place of their bearing file. LabpipeError where the tests
+    do not allow it.
     """
     evidence = replace(evidence, fits=tuple(fit.as_fitted for fit in evidence.fits))
     return comparison_kind(settings.kind).compare(

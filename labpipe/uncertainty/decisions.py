@@ -46,9 +46,8 @@ class Limits:
 
 def conformance(value: float, error: float, limits: Limits) -> float:
     """Probability [1] that the true value lies within *limits*, by a normal distribution about the measured
-    *value* with its standard uncertainty *error* [unit].
-
-    Equation (decision-conformance); JCGM 106:2012, clause 7. Without uncertainty it is 0 or 1.
+    *value* with its standard uncertainty *error* [unit]. Equation (decision-conformance); JCGM 106:2012,
+    clause 7. Without uncertainty it is 0 or 1.
     """
     if error == 0.0:
         return float(limits.hold(value))
@@ -59,18 +58,15 @@ def conformance(value: float, error: float, limits: Limits) -> float:
 
 def guard_band(error: float, risk: float) -> float:
     """w = z(1 - risk) u [unit of *error*]: a value by w inside of one limit lies beyond that limit with the
-    probability *risk* [1].
-
-    Equation (decision-guard).
+    probability *risk* [1]. Equation (decision-guard).
     """
     return normal_quantile(1.0 - risk) * error
 
 
 def outcome_by_guard(value: float, guard: float, limits: Limits) -> str:
     """Pass within the limits less the guard band [unit], fail beyond the limits and the guard band, and
-    conditional between, by the side of the limit on which the value lies.
-
-    ILAC-G8:09/2019, 4.2.3. Each limit counts by itself.
+    conditional between, by the side of the limit on which the value lies. ILAC-G8:09/2019, 4.2.3. Each limit
+    counts by itself.
     """
     if limits.narrowed(guard).hold(value):
         return PASS
@@ -81,9 +77,8 @@ def outcome_by_guard(value: float, guard: float, limits: Limits) -> str:
 
 def outcome_by_risk(probability: float, risk: float) -> str:
     """Pass where the limits hold with a *probability* [1] of at least 1 - *risk*, fail where of at most
-    *risk*, conditional between, by which is likelier.
-
-    JCGM 106:2012, clause 8: of one limit this is the guard band; two are judged together.
+    *risk*, conditional between, by which is likelier. JCGM 106:2012, clause 8: of one limit this is the guard
+    band; two are judged together.
     """
     if probability >= 1.0 - risk:
         return PASS

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from labpipe.records.identification import Fit
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, change_in, random_error
 from labpipe.uncertainty.bandwise import holm
-from labpipe.uncertainty.observations import check_single, condition_of
+from labpipe.uncertainty.observations import amounts_of, check_single
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
 from labpipe.uncertainty.weighted import weighted_mean
 
@@ -114,7 +114,6 @@ def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str
 def _along(
     matrix: comparison.ConditionMatrix, axis: int
 ) -> dict[tuple[int, ...], list[comparison.MatrixPoint]]:
-    """The points along an axis, in its order, by their place on the other axes."""
     groups: dict[tuple[int, ...], list[comparison.MatrixPoint]] = {}
     for point in sorted(matrix.points, key=lambda point: point.place[axis]):
         groups.setdefault(point.place[:axis] + point.place[axis + 1 :], []).append(point)
@@ -139,11 +138,12 @@ def equilibrium_paths(
     settings: EquilibriumSettings, matrix: comparison.ConditionMatrix, fits: Sequence[Fit]
 ) -> tuple[comparison.EquilibriumPath, ...]:
     """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests
-    of the matrix.
-
-    ConfigError where x or y is no displacement. Equation (comp-path).
+    of the matrix. ConfigError where x or y is no displacement, or the load no force. Equation (comp-path).
     """
     number = [axis.name for axis in matrix.axes].index(settings.load)
+    if matrix.axes[number].unit != QUANTITIES["force"].si_unit:
+        what = f"the condition '{settings.load}' is no force but in {matrix.axes[number].unit or 'no unit'}"
+        raise SettingError("path", what, "write the load as a force, for example 50 N")
     axes = [axis for axis in matrix.axes if axis.name != settings.load]
     paths = []
     # In the order of the other conditions.
@@ -163,9 +163,8 @@ def _path(
     points: Sequence[comparison.MatrixPoint],
     fits: Sequence[Fit],
 ) -> tuple[comparison.PathPoint, ...]:
-    """Rest positions with the slope of the parabola through each point and its neighbours.
-
-    At the ends, of the outer three.
+    """Rest positions with the slope of the parabola through each point and its neighbours. At the ends, of
+    the outer three.
     """
     rest = np.array([_rest(settings, point) for point in points])
     position, spread = rest[:, 0], rest[:, 1]
@@ -222,48 +221,38 @@ def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
     three loads, or of a line.
     """
     first = min(max(n - 1, 0), max(loads.size - 3, 0))
-    members = np.arange(first, min(first + 3, loads.size))
+    near = loads[first : first + 3] - loads[n]
     weights: FloatArray = np.zeros(loads.size)
-    for i in members:
-        others = [j for j in members if j != i]
-        below = np.prod([loads[i] - loads[j] for j in others])
-        weights[i] = sum(np.prod([loads[n] - loads[k] for k in others if k != j]) for j in others) / below
+    # Over the range, powers of loads of any size are alike.
+    powers = np.vander(near / np.ptp(near), increasing=True)
+    weights[first : first + 3] = np.linalg.inv(powers)[1] / np.ptp(near)
     return weights
 
 
-@dataclass(frozen=True)
-class _Compliance:
-    """One fit's displacement per force *value* (2,) [m/N], its covariance (2, 2) by noise, and its change
-    (2,) by every source.
-    """
-
-    value: FloatArray
-    covariance: FloatArray
-    changes: Mapping[str, FloatArray]
+# One fit's displacement per force (2,) [m/N], its covariance (2, 2) by noise, and its change (2,) by every
+# source.
+_Compliance = tuple[FloatArray, FloatArray, dict[str, FloatArray]]
 
 
 def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray] | None:
     """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its
-    covariance (2, 2).
-
-    Noise is independent from repeat to repeat; an error that repeats have in common does not shrink in their
-    mean.
+    covariance (2, 2). Noise is independent from repeat to repeat; an error that repeats have in common does
+    not shrink in their mean.
     """
     results = [result for fit in fits if (result := _compliance(settings, fit)) is not None]
     if not results:
         return None
-    mean = np.mean([result.value for result in results], axis=0)
-    covariance = sum(result.covariance for result in results) / len(results) ** 2
-    for source in dict.fromkeys(source for result in results for source in result.changes):
-        change = sum(result.changes.get(source, np.zeros(2)) for result in results) / len(results)
+    values, covariances, changes = zip(*results, strict=True)
+    covariance = np.sum(covariances, axis=0) / len(results) ** 2
+    for source in dict.fromkeys(source for of_fit in changes for source in of_fit):
+        change = np.mean([of_fit.get(source, np.zeros(2)) for of_fit in changes], axis=0)
         covariance = covariance + np.outer(change, change)
-    return np.asarray(mean), np.asarray(covariance)
+    return np.mean(values, axis=0), covariance
 
 
 def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
-    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u.
-
-    None where a coefficient or an error is missing.
+    """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u. None where a coefficient or an
+    error is missing.
     """
     estimated = [parameter.name for parameter in fit.parameters if not parameter.derived]
     if not all(name in estimated for name in STIFFNESS):
@@ -285,16 +274,15 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
         source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS])
         for source in sources
     }
-    return _Compliance(displacement, slopes @ covariance @ slopes.T, changes)
+    return displacement, slopes @ covariance @ slopes.T, changes
 
 
 def _chance_of_slopes(
     difference: FloatArray, estimated: FloatArray, stated: FloatArray, dof: int
 ) -> float | None:
     """Probability of so large a difference (2,) [m/N] by its covariance (2, 2), of which a part was
-    *estimated* from scatter with *dof* degrees of freedom.
-
-    None without these, or where the whole is singular.
+    *estimated* from scatter with *dof* degrees of freedom. None without these, or where the whole is
+    singular.
     """
     covariance = estimated + stated
     if dof == 0 or not np.linalg.det(covariance) > 0:
@@ -316,13 +304,12 @@ def condition_matrix(
     conditions: Mapping[str, Mapping[str, Any]],
     theory: PointTheory | None = None,
 ) -> comparison.ConditionMatrix:
-    """The matrix of the settings; *conditions* of every test by its name.
-
-    ConfigError for an unknown fit, coefficient or condition, FitError where no test has a result.
+    """The matrix of the settings; *conditions* of every test by its name. ConfigError for an unknown fit,
+    coefficient or condition, FitError where no test has a result.
     """
     chosen = _choose(settings, fits)
     amounts = {
-        name: _amounts(name, chosen, conditions)
+        name: amounts_of(name, chosen, conditions)
         for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
     }
     axes, places = _axes(settings, amounts)
@@ -366,23 +353,16 @@ def _of_path(settings: MatrixSettings) -> tuple[str, ...]:
     return () if settings.path is None else (settings.path.x, settings.path.y)
 
 
-def _amounts(name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]) -> _Amounts:
-    pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
-    units = sorted({unit for _, unit in pairs})
-    if len(units) > 1:
-        what = f"the condition '{name}' has the units {', '.join(units)}"
-        raise ConfigError(what, hint="write it in one dimension")
-    return units[0], np.array([value for value, _ in pairs])
-
-
 def _axes(
     settings: MatrixSettings, amounts: Mapping[str, _Amounts]
 ) -> tuple[tuple[comparison.ConditionAxis, ...], list[tuple[int, ...]]]:
-    """The axes with their levels, and the place of every test on them."""
     axes, numbers = [], []
     for name in settings.over:
         unit, values = amounts[name]
-        levels, number = levels_of(values, settings.tolerance)
+        # Temperatures compare as people write them: 20 and 25 degC are no level of 293 K.
+        zero = 273.15 if unit == "K" else 0.0
+        levels, number = levels_of(values - zero, settings.tolerance)
+        levels = levels + zero
         axes.append(comparison.ConditionAxis(name, unit, tuple(levels.tolist())))
         numbers.append(number.tolist())
     return tuple(axes), list(zip(*numbers, strict=True))

@@ -21,9 +21,8 @@ from labpipe.uncertainty.settings import CompareSettings
 
 @dataclass(frozen=True)
 class Observation:
-    """A parameter of a test's fit.
-
-    *condition* and *second* one in SI (NaN where the settings name none), *group* as written.
+    """A parameter of a test's fit. *condition* and *second* one in SI (NaN where the settings name none),
+    *group* as written.
     """
 
     fit: Fit
@@ -38,9 +37,8 @@ class Observation:
 
     @property
     def std_error(self) -> float:
-        """The standard error of this test alone, without errors that tests have in common.
-
-        FitError for a parameter without one.
+        """The standard error of this test alone, without errors that tests have in common. FitError for a
+        parameter without one.
         """
         error = random_error(self.fit, self.parameter)
         if error is None:
@@ -109,9 +107,8 @@ class Campaign:
 
     @property
     def relative(self) -> FloatArray:
-        """Relative standard error of every test alone, (n_test,) [1].
-
-        FitError for a value that is not above zero.
+        """Relative standard error of every test alone, (n_test,) [1]. FitError for a value that is not above
+        zero.
         """
         return np.array([observation.relative for observation in self.observations])
 
@@ -158,24 +155,23 @@ def campaign_of(
     parameter: str = "",
 ) -> Campaign:
     """The observations of the settings, sorted by condition; *conditions* of every test by its name;
-    *parameter*: in place of theirs.
-
-    ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
+    *parameter*: in place of theirs. ConfigError for an unknown fit, term, parameter or condition; FitError
+    for fewer than two tests.
     """
-    observations: list[Observation] = []
-    units: set[tuple[str, ...]] = set()
-    for fit in _choose(settings, fits):
-        of_test = conditions.get(fit.test, {})
-        amounts = [condition_of(name, fit.test, of_test) for name in settings.over]
-        units.add(tuple(unit for _, unit in amounts))
-        first, second = (*(value for value, _ in amounts), float("nan"), float("nan"))[:2]
-        group = group_of(settings, fit.test, of_test)
-        estimate = _parameter(parameter or settings.parameter, fit)
-        observations.append(Observation(fit, estimate, first, second, group))
-    if len(units) > 1:
-        listed = ", ".join(sorted(" and ".join(pair) for pair in units))
-        what = f"the condition '{', '.join(settings.over)}' has the units {listed}"
-        raise ConfigError(what, hint="write it in one dimension")
+    chosen = _choose(settings, fits)
+    none = "", np.full(len(chosen), np.nan)
+    amounts = [amounts_of(name, chosen, conditions) for name in settings.over]
+    (unit, first), (second_unit, second) = (*amounts, none, none)[:2]
+    observations = [
+        Observation(
+            fit,
+            _parameter(parameter or settings.parameter, fit),
+            float(first[number]),
+            float(second[number]),
+            group_of(settings, fit.test, conditions.get(fit.test, {})),
+        )
+        for number, fit in enumerate(chosen)
+    ]
     if len(observations) < 2:
         raise FitError(
             f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed"
@@ -184,7 +180,7 @@ def campaign_of(
         observations.sort(
             key=lambda entry: (entry.condition, *([entry.second] if settings.second else []), entry.group)
         )
-    return Campaign(settings, tuple(observations), *(*units.pop(), "", "")[:2])
+    return Campaign(settings, tuple(observations), unit, second_unit)
 
 
 def fits_named(name: str, fits: Sequence[Fit]) -> list[Fit]:
@@ -236,10 +232,23 @@ def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]
     return test if settings.groups else ""
 
 
-def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
-    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N").
+def amounts_of(
+    name: str, fits: Sequence[Fit], conditions: Mapping[str, Mapping[str, Any]]
+) -> tuple[str, FloatArray]:
+    """A condition of the tests of all *fits*: its SI unit, and values (n_fit,) in it [that unit]. ConfigError
+    where it has several units.
+    """
+    pairs = [condition_of(name, fit.test, conditions.get(fit.test, {})) for fit in fits]
+    units = sorted({unit for _, unit in pairs})
+    if len(units) > 1:
+        what = f"the condition '{name}' has the units {', '.join(units)}"
+        raise ConfigError(what, hint="write it in one dimension")
+    return units[0], np.array([value for value, _ in pairs])
 
-    ConfigError for what is no amount.
+
+def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[float, str]:
+    """A condition as a number in SI with its unit: "427 N" -> (427.0, "N"). ConfigError for what is no
+    amount.
     """
     try:
         return si_amount(_condition(name, test, conditions))

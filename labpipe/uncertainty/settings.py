@@ -134,19 +134,14 @@ class MatrixSettings(Settings):
             raise ConfigError(what, hint="for example over: [speed, load] with entries: [speed, load]")
 
 
-# The kinds of comparisons: what each of them computes, which keys of a comparison it takes, and what is true
-# of it.
-
-
 @dataclass(frozen=True)
 class ComparisonKind:
     """What a comparison of the kind computes from its settings and the evidence, and what is true of it.
 
-    keys: those of a comparison, besides `kind`, that change what is computed; all others are refused; needs:
-    those of them that must be given. conditions: over how many it goes at most. loop: its theory is a control
-    loop, whose bearing file is unchanged unless a condition sets an entry, and whose unknowns may be
-    estimated. section: key of the kind's own settings in a comparison, their dataclass *settings*, all of
-    them with defaults.
+    keys: those, besides `kind`, that change what is computed; all others are refused; needs: those that must
+    be given. conditions: over how many it goes at most. loop: its theory is a control loop, unchanged unless
+    a condition sets an entry, whose unknowns may be estimated. section: key of the kind's own *settings*, a
+    dataclass with defaults.
     """
 
     compare: Callable[[CompareSettings, Any], Comparison]
@@ -288,9 +283,8 @@ class CompareSettings(Settings):
 
 
 def comparison_kind(name: str) -> ComparisonKind:
-    """The kind of comparison of that name.
-
-    A plug-in's function counts as one that takes every key, over one condition.
+    """The kind of comparison of that name. A plug-in's function counts as one that takes every key, over one
+    condition.
     """
     entry = COMPARISONS.load(name)
     if isinstance(entry, ComparisonKind):

@@ -145,10 +145,7 @@ def _bounds_of_response(exact: FrequencyResponse, truth: Truth, settings: FitSet
 def source_of(
     rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None
 ) -> Source:
-    """The source of a virtual rig at a noise level.
-
-    ConfigError for lines or runs that the rig does not have.
-    """
+    """The source of a virtual rig at a noise level; ConfigError for lines or runs that it does not have."""
     kind = kind_of(rig)
     if kind.response is None and kind.recordings is None:
         raise ConfigError(
@@ -246,18 +243,19 @@ def summarise(
     noise: float,
     lines: int,
 ) -> StudyCase:
-    """One fit over all repeats; ConfigError where the rig states none of its parameters.
-
-    Equation (comp-study).
+    """One fit over all repeats; ConfigError where the rig states none of its parameters. Equation
+    (comp-study).
     """
     ended = [outcome for outcome in outcomes if outcome.parameters]
     results = [outcome for outcome in ended if outcome.converged]
-    names = _names(ended[0].parameters, truth) if ended else []
+    names = _names(outcomes, truth)
     if ended and not names:
         what = f"the rig states no parameter of fit '{settings.name}'"
         raise ConfigError(what, hint=f"it states {listed(list(truth))}")
     errors = np.array([squared_error(outcome, names, truth, settings) for outcome in ended])
-    parameters = tuple(_parameter(name, results, truth[name], bounds.get(name)) for name in names if results)
+    parameters = tuple(
+        _parameter(name, results, truth[name], bounds.get(name)) for name in _names(results, truth)
+    )
     ratios = [p.rmse / p.bound for p in parameters if p.bound is not None]
     coverages = [p.coverage for p in parameters if p.coverage is not None]
     return StudyCase(
@@ -279,26 +277,24 @@ def summarise(
 
 def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
     """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true|
-    of all together.
-
-    Equation (comp-success).
+    of all together. Equation (comp-success).
     """
-    return float(np.mean([_succeeded(outcome, settings, truth, limit) for outcome in outcomes]))
+    names = _names(outcomes, truth)
+    return float(np.mean([_succeeded(outcome, names, settings, truth, limit) for outcome in outcomes]))
 
 
-def _succeeded(outcome: Outcome, settings: FitSettings, truth: Truth, limit: float) -> bool:
+def _succeeded(
+    outcome: Outcome, names: Sequence[str], settings: FitSettings, truth: Truth, limit: float
+) -> bool:
     if not outcome.converged:
         return False
-    names = _names(outcome.parameters, truth)
     size = sum(count * truth[name] ** 2 for name, count in zip(names, _places(names, settings), strict=True))
     return squared_error(outcome, names, truth, settings) < limit**2 * size
 
 
 def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings: FitSettings) -> float:
     """Sum of squared parameter errors; an entry of a symmetric matrix beside the diagonal counts at both its
-    places.
-
-    Equation (comp-squared-error).
+    places. Equation (comp-squared-error).
     """
     values = {parameter.name: parameter.value for parameter in outcome.parameters}
     deviations = np.array([values.get(name, 0.0) - truth[name] for name in names])
@@ -313,15 +309,18 @@ def _places(names: Sequence[str], settings: FitSettings) -> FloatArray:
     )
 
 
-def _names(parameters: Sequence[Parameter], truth: Truth) -> list[str]:
-    return [p.name for p in parameters if not p.derived and p.name in truth]
+def _names(outcomes: Sequence[Outcome], truth: Truth) -> list[str]:
+    """The parameters whose truth is known; one that a fit eliminated, which is zero then, is another's."""
+    parameters = (parameter for outcome in outcomes for parameter in outcome.parameters)
+    return list(dict.fromkeys(p.name for p in parameters if not p.derived and p.name in truth))
 
 
 def _parameter(name: str, results: Sequence[Outcome], truth: float, bound: float | None) -> StudiedParameter:
     estimates = [
         parameter for outcome in results for parameter in outcome.parameters if parameter.name == name
     ]
-    values = np.array([parameter.value for parameter in estimates])
+    # Without those that the other repeats eliminated.
+    values = np.array([parameter.value for parameter in estimates] + [0.0] * (len(results) - len(estimates)))
     stated = [parameter.std_error for parameter in estimates if parameter.std_error is not None]
     intervals = [parameter.ci95 for parameter in estimates if parameter.ci95 is not None]
     return StudiedParameter(
@@ -357,11 +356,11 @@ def run_study(
 ) -> Study:
     """Every fit at every noise level and number of lines; *rig* is a virtual rig's settings.
 
-    The noise of a repeat depends on the seed and the repeat's number alone, so all levels and fits see the
-    same draws. *jobs*: processes, 0 for one per processor; a script that asks for several needs the usual `if
-    __name__ == "__main__"`. ConfigError for lines or runs that the rig does not have.
+    The noise of a repeat depends on the seed and its number alone, so all levels and fits see the same draws.
+    *jobs*: processes, 0 for one per processor; several need the usual `if __name__ == "__main__"` of a
+    script. ConfigError for lines or runs that the rig does not have.
     """
-    plain = [replace(fit, compare=False, sliding=None) for fit in fits]
+    plain = [replace(fit, compare=False) for fit in fits]
     counts: list[int | None] = [int(count) for count in settings.lines] or [None]
     cases: list[StudyCase] = []
     with workers(jobs) as crew:
@@ -423,7 +422,8 @@ def _threshold(
             drawn = numbers[start : start + SEARCH_STEP]
             (outcomes,) = crew.outcomes(source, [fit], drawn, (settings.seed,))
             ended = zip(drawn, outcomes, strict=True)
-            lost += [r for r, outcome in ended if not _succeeded(outcome, fit, source.truth, limit)]
+            names = _names(outcomes, source.truth)
+            lost += [r for r, outcome in ended if not _succeeded(outcome, names, fit, source.truth, limit)]
             if (len(numbers) - len(lost)) / len(numbers) < settings.share:
                 break
         numbers.sort(key=lambda r: r not in lost)

@@ -126,10 +126,12 @@ class Components:
     intervals.
 
     *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or
-    larger scatter of settings without an effect of the setting (F test). mean_error: of the settings' scatter
-    alone, with *settings* - 1 degrees of freedom.
+    larger scatter of settings without an effect of the setting (F test). *mean*: of the means of settings, by
+    *weights* (n,) [1] of the values; mean_error: of the settings' scatter alone, with *settings* - 1 degrees
+    of freedom.
     """
 
+    weights: FloatArray
     mean: float
     mean_error: float
     within: float
@@ -175,8 +177,9 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
         float(np.sqrt(within_sum / distributions.chi2_quantile(q, n - a))) for q in (1 - TAIL, TAIL)
     )
     return Components(
-        mean=float(np.mean(values)),
-        mean_error=float(np.sqrt(between / n)),
+        weights=1 / (a * counts[group]),
+        mean=float(np.mean(means)),
+        mean_error=float(np.std(means, ddof=1) / np.sqrt(a)),
         within=float(np.sqrt(within)),
         within_ci=(least, most),
         between=float(np.sqrt(max((between - within) / n_0, 0.0))),
@@ -188,14 +191,12 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
 
 
 def _mean(campaign: Campaign, scatter: Components) -> Parameter:
-    """The mean of all tests [unit of the values]: scatter of the settings, and errors that no repetition
-    shows.
+    """The mean of the settings [unit of the values]: their scatter s, and errors that no repetition shows.
 
-    u^2 = MSB / n + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / (MSB / n)^2 degrees of
-    freedom (JCGM 100:2008, G.4.1).
+    u^2 = s^2 + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / s^4 degrees of freedom (JCGM
+    100:2008, G.4.1).
     """
-    common = float(np.sum(np.mean(campaign.common, axis=1) ** 2))
-    error = float(np.hypot(scatter.mean_error, np.sqrt(common)))
+    error = float(np.hypot(scatter.mean_error, np.linalg.norm(campaign.common @ scatter.weights)))
     # Settings whose means are alike to the last digit leave nothing that was estimated from them.
     dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4 if scatter.mean_error > 0 else np.inf
     return with_error(
@@ -205,9 +206,7 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
 
 def repeatability(campaign: Campaign) -> Comparison:
     """Variance components of the parameter, and a test of the scatter within settings against the fits'
-    standard errors.
-
-    Equation (comp-repeatability).
+    standard errors. Equation (comp-repeatability).
     """
     settings, unit = campaign.settings, campaign.unit
     groups = np.array([observation.group for observation in campaign.observations])
@@ -303,26 +302,25 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
     """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values
     (n,) by the standard errors.
 
-    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, these are
-    enlarged (Birge). Two values give one test with one result for both. *errors* (n,), or the covariance (n,
-    n) of values with errors in common, which cancel here as far as they are alike. FitError for fewer than
-    two. Equation (comp-outlier).
+    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, all are enlarged
+    (Birge), and the p-values are Student's. Two values give one test with one result for both. *errors* (n,),
+    or the covariance (n, n) of values with errors in common, which cancel here as far as they are alike.
+    FitError for fewer than two. Equation (comp-outlier).
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
+    whole = np.diag(errors**2) if errors.ndim == 1 else errors
     differences, chances = np.empty(values.size), np.empty(values.size)
     for n in range(values.size):
         others = np.arange(values.size) != n
-        if errors.ndim == 1:
-            rest = weighted_mean(values[others], errors[others])
-            variance = errors[n] ** 2 + rest.std_error(0) ** 2
-        else:
-            covariance = errors[np.ix_(others, others)]
-            rest = weighted_mean(values[others], covariance)
-            # The weights of the values in their generalised least-squares mean.
-            weights = np.linalg.solve(covariance, np.ones(values.size - 1))
-            shared = float(weights @ errors[others, n] / weights.sum())
-            variance = errors[n, n] + rest.std_error(0) ** 2 - 2 * shared
-        differences[n] = values[n] - rest.values[0]
-        chances[n] = 2 * distributions.normal_tail(abs(differences[n]) / np.sqrt(variance))
+        covariance = whole[np.ix_(others, others)]
+        rest = weighted_mean(values[others], covariance)
+        # The weights of the values in their generalised least-squares mean.
+        weights = np.linalg.solve(covariance, np.ones(values.size - 1))
+        shared = float(weights @ whole[others, n] / weights.sum())
+        own = (whole[n, n] - 2 * shared) * (rest.chi2 / rest.dof if rest.inflated else 1.0)
+        away = WeightedFit(
+            values[[n]] - rest.values, own + rest.covariance, 0.0, rest.dof, None, rest.inflated
+        )
+        differences[n], chances[n] = away.values[0], away.p_of(0)
     return differences, chances

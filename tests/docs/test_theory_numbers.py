@@ -346,7 +346,9 @@ def test_components_of_variance() -> None:
     assert found.within == pytest.approx(np.sqrt(within))  # comp-components
     assert found.between == pytest.approx(np.sqrt((between - within) / n_0))
     assert found.p_value == pytest.approx(stats.f_oneway(*parts).pvalue)
-    assert found.mean_error == pytest.approx(np.sqrt(between / 8))
+    means = [part.mean() for part in parts]
+    assert found.mean == pytest.approx(np.mean(means))
+    assert found.mean_error == pytest.approx(np.std(means, ddof=1) / np.sqrt(3))
 
 
 def test_coverage_and_designs() -> None:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.estimation.draws import drawn_error
+from labpipe.estimation.draws import _with_interval, drawn_error
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.project.judging import judge
 from labpipe.project.rules import Rule
+from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.spectra import FreeDecay, FreeDecays
 from labpipe.records.uncertain import Budget, ChannelUncertainty, Uncertain, Uncertainty
@@ -309,3 +310,47 @@ def test_the_report_and_rules_use_the_coverage_that_was_asked_for(rng) -> None:
         rule = Rule(**address, kind="<=", bound=f"{bound} %", place="")
         (outcome,) = judge([rule], [fit], {})
         assert outcome.passed is holds
+
+
+def test_draws_leave_the_model_error_in_the_interval() -> None:
+    """Noise .3 and a gain .4 scatter by .5 about the model's own 9.5; with a model error of 1.2 about 10 the
+    half-width is 1.96 x 1.3, the root of both squares. Without one the ends are those of the draws.
+    """
+    stated = Parameter("k", 10.0, "N/m", std_error=0.3, std_error_inflated=1.3, systematic=0.4, fitted=9.5)
+    stated = dataclasses.replace(stated, ci95=(10 - 1.96 * 1.3, 10 + 1.96 * 1.3))
+    drawn = (9.5 - 1.96 * 0.5, 9.5 + 1.96 * 0.5)
+    assert _with_interval(stated, *drawn).ci95 == pytest.approx(stated.ci95)
+    sound = dataclasses.replace(stated, value=9.5, fitted=None, std_error_inflated=0.5)
+    assert _with_interval(sound, *drawn).ci95 == drawn
+
+
+def test_draws_without_a_frequency_are_failed_refits() -> None:
+    """Lines far above the natural frequency of 3.6 Hz tell k = 1000 N/m by one of its errors alone: in every
+    sixth draw it is negative, and there is no f_n.
+    """
+    w = 2 * np.pi * np.linspace(90.0, 110.0, 15)
+    h = (1 / (1e3 - 2.0 * w**2 + 5j * w))[:, None, None]
+    gain = ChannelUncertainty("gain", Uncertainty("cell", 1e-4, "1"))
+    force = Port("f", "f", "x", uncertainties=(gain,))
+    variance = np.full(h.shape, 6e-5 * np.mean(np.abs(h) ** 2))
+    response = FrequencyResponse(
+        w / (2 * np.pi), h, (Port("y", "y", "x"),), (force,), covariance=uncorrelated(variance)
+    )
+    with pytest.raises(FitError, match="of 200 refits failed"):
+        identify(response, FitSettings("sdof", mass=2.0, estimator="ls", name="p", monte_carlo=200))
+
+
+def test_draws_take_a_contradicted_number_by_its_distance() -> None:
+    """2.0 kg +- 0.1 % were stated of 2.02 kg: the draws scatter as the budget says, by ten times as much."""
+    w = 2 * np.pi * np.linspace(90.0, 110.0, 15)
+    h = (1 / (8.08e5 - 2.02 * w**2 + 14j * w))[:, None, None]
+    ports = (Port("y", "y", "x"),), (Port("f", "f", "x"),)
+    variance = np.full(h.shape, 1e-6 * np.mean(np.abs(h) ** 2))
+    response = FrequencyResponse(w / (2 * np.pi), h, *ports, covariance=uncorrelated(variance))
+    asked = FitSettings("sdof", mass=2.0, uncertainties=(("mass", Uncertain(2.0, 0.002)),), estimator="ls")
+    plain, drawn = (
+        identify(response, dataclasses.replace(asked, monte_carlo=draws))[0].parameter("k")
+        for draws in (0, 200)
+    )
+    assert plain.systematic > 0.008 * plain.value
+    assert np.ptp(drawn.ci95) == pytest.approx(np.ptp(plain.ci95), rel=0.15)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.estimation.diagnostics import collinear_groups, estimate_findings
+from labpipe.estimation.diagnostics import collinear_group, estimate_findings
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, condition_number, inflation_factors
@@ -126,7 +126,7 @@ def test_condition_and_inflation_closed_forms() -> None:
 
 def test_only_the_entangled_parameters_are_named() -> None:
     design = np.array([[1.0, 1.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1.0]])
-    assert collinear_groups(design / np.linalg.norm(design, axis=0), ["a", "b", "c"]) == [["a", "b"]]
+    assert collinear_group(design / np.linalg.norm(design, axis=0), ["a", "b", "c"]) == ["a", "b"]
 
 
 @pytest.mark.long

@@ -122,7 +122,7 @@ def test_evidence_of_coefficients_is_that_of_the_independent_calculation() -> No
 )
 def test_the_whole_mixture_is_that_of_the_independent_calculation(made, shares, stated, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     """That has no second mode beside a resonance that moves."""
-    monkeypatch.setattr(discrepancy, "second_beside_moving", lambda *_: None)
+    monkeypatch.setattr(discrepancy.mode_model, "second_beside_moving", lambda *_: None)
     found = mixture(made())
     assert {name: share for name, share in found.shares.items() if share > 1e-5} == pytest.approx(
         shares, abs=5e-5

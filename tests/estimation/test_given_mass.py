@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.estimation.causes import _FreeFit, _late_channels, _p_value
+from labpipe.estimation.causes import _late_channels, _p_value
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
@@ -218,16 +218,16 @@ def test_the_chance_of_masses_is_that_of_student_and_of_hotelling() -> None:
     """Beyond the tolerance of 1 %: two standard errors of 10 degrees of freedom by Student; of two masses
     T^2 = 2^2 + 3^2, T^2 (dof - 1) / (2 dof) as F of 2 and dof - 1.
     """
-    one = _FreeFit(np.array([5.0, 1.03]), np.diag([1.0, 0.01**2]), 10.0)
+    one = (np.array([5.0, 1.03]), np.diag([1.0, 0.01**2]), 10.0)
     assert _p_value(one, np.array([1.0])) == pytest.approx(2 * stats.t.sf(2.0, 10), rel=1e-9)
-    two = _FreeFit(np.array([5.0, 1.03, 1.94]), np.diag([1.0, 0.01**2, (0.04 / 3) ** 2]), 10.0)
+    two = (np.array([5.0, 1.03, 1.94]), np.diag([1.0, 0.01**2, (0.04 / 3) ** 2]), 10.0)
     assert _p_value(two, np.array([1.0, 2.0])) == pytest.approx(stats.f.sf(13 * 9 / 20, 2, 9), rel=1e-6)
 
 
 def test_frfs_met_to_the_last_digit_tell_the_mass_for_certain() -> None:
     """No scatter at all: masses within the tolerance of 1 % are right, others wrong."""
     for mass, p_value in ((1.005, 1.0), (1.02, 0.0)):
-        assert _p_value(_FreeFit(np.array([5.0, mass]), np.zeros((2, 2)), 100.0), np.array([1.0])) == p_value
+        assert _p_value((np.array([5.0, mass]), np.zeros((2, 2)), 100.0), np.array([1.0])) == p_value
 
 
 @pytest.mark.parametrize("estimator", ["ls", "ml"])

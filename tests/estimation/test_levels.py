@@ -10,9 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.estimation.budget import with_sources
 from labpipe.estimation.levels import with_level_findings
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Goodness
+from labpipe.records.uncertain import Uncertainty
 
 K, C, ERROR_K, ERROR_C = 50e3, 20.0, 100.0, 0.5
 
@@ -120,6 +122,17 @@ def test_enlarged_standard_errors_count() -> None:
     assert named([fit("quiet"), fit("loud", parameters=(k, c, f_n))]) == ["loud"]
     enlarged = tuple(replace(p, std_error_inflated=3 * (p.std_error or 0.0)) for p in (k, c, f_n))
     assert named([fit("quiet"), fit("loud", parameters=enlarged)]) == []
+
+
+def test_what_both_levels_share_hides_no_change() -> None:
+    """A gain +- 1 % makes k +- 500 N/m in both tests alike: a change of 1000 N/m is 7 of its own errors."""
+    cell = Uncertainty("cell", 0.01, "1")
+    tests = [
+        with_sources(fit(name, k), [(cell, np.array([-0.01 * k, -0.01 * C, 0.0]))])
+        for name, k in (("quiet", K), ("loud", K + 10 * ERROR_K))
+    ]
+    assert tests[0].parameter("k").full_error == pytest.approx(np.hypot(ERROR_K, 500.0))
+    assert named(tests) == ["loud"]
 
 
 def test_noise_alone_is_a_false_alarm_in_one_run_of_a_hundred_at_most() -> None:

@@ -10,11 +10,13 @@ import pytest
 from scipy import linalg
 
 from labpipe.errors import ConfigError
+from labpipe.estimation.derived import Estimated, correct, is_direct
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import _axes, _direction
-from labpipe.estimation.settings import FitSettings
+from labpipe.estimation.settings import FitSettings, Support
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
+from labpipe.records.uncertain import Uncertain
 from tests.estimation.conftest import DAMPING, MASS, STIFFNESS
 
 KNOWN = FitSettings("mdof", mass=(1.0, 2.0, 3.0), symmetric=True, name="three")
@@ -195,3 +197,29 @@ def test_a_force_at_an_angle_acts_on_x_and_y_by_its_cosines() -> None:
     np.testing.assert_array_equal(_direction(Port("f", "f", "y"), ["x", "y"], setup), [0, 1])
     with pytest.raises(ConfigError, match="acts on dof 'z', which has no response"):
         _direction(Port("f", "f", "z"), ["x", "y"], setup)
+
+
+def test_a_force_at_another_point_in_the_same_direction_has_no_response() -> None:
+    """Points 1 and 2 along x as a universal file names them, the force at 3 along x: it acts on neither.
+
+    One along x of the whole rig acts on x by the cosine of the angle between them.
+    """
+
+    def setup(*dofs: str) -> SimpleNamespace:
+        return SimpleNamespace(outputs=tuple(Port(dof, dof, dof, 0.0) for dof in dofs))
+
+    with pytest.raises(ConfigError, match="which has no response"):
+        _direction(Port("f", "f", "3.x", 0.0), ["1.x", "2.x"], setup("1.x", "2.x"))
+    inclined = Port("f", "f", "60 deg", np.pi / 3)
+    np.testing.assert_allclose(_direction(inclined, ["x"], setup("x")), [0.5])
+
+
+def test_points_of_several_digits_are_told_apart() -> None:
+    """The support's 5 kN/m come off k_1_1 and k_11_11 alone: k_1_11 joins two points."""
+    direct = ("k", "c_xx", "k_1_1", "m_11_11", "k_b.x_b.x")
+    assert all(map(is_direct, direct))
+    assert not any(map(is_direct, ("k_xy", "k_1_11", "k_11_1", "c_x_1x", "f_n_1", "mass_scale")))
+    support = FitSettings("mdof", subtract=Support(Uncertain(5e3)))
+    names = ("k_1_1", "k_1_11", "k_11_11")
+    total = Estimated(names, ("N/m",) * 3, np.full(3, 2e4), np.eye(3))
+    assert correct(total, support).values.tolist() == [15e3, 20e3, 15e3]

@@ -21,8 +21,9 @@ from labpipe.estimation.repeats import RepeatMean
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.finding import Finding, Parameter, Repeats
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, random_part
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 FREQUENCY = np.linspace(90.0, 110.0, 101)
 F_N, ZETA, MASS = 100.0, 0.01, 2.0
@@ -281,3 +282,19 @@ def test_a_chosen_peak_is_the_mean_of_repeats_like_a_band(keys: dict[str, object
     band = fitted(looped, band=(90.0, 110.0), **keys)
     assert (peak.term, peak.parameters, peak.notes) == ("x", band.parameters, band.notes)
     assert [finding.code for finding in peak.findings].count("feedback") == 1
+
+
+def test_the_budget_of_repeats_holds_what_they_scatter_by() -> None:
+    """A gain +- 1 % beside the scatter of six recordings: k scatters by itself as without the gain, and the
+    combined uncertainty is the root of both squares (GUM, eq. 10). f_n knows no gain.
+    """
+    plain = repeated(6, 1)
+    gain = ChannelUncertainty("gain", Uncertainty("cell", 0.01, "1"))
+    stated = replace(plain, inputs=(replace(plain.inputs[0], uncertainties=(gain,)),))
+    without, fit = fitted(plain), fitted(stated)
+    assert fit.budget is not None
+    for name, share in (("k", 0.01), ("f_n", 0.0)):
+        alone, combined = without.parameter(name), fit.parameter(name)
+        assert combined.combined == pytest.approx(np.hypot(alone.full_error, share * alone.value), rel=0.01)
+        assert combined.expanded == pytest.approx((combined.ci95[1] - combined.ci95[0]) / 2, rel=0.02)
+        assert random_part(fit, combined) == pytest.approx(alone.full_error, rel=1e-6)

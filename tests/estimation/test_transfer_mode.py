@@ -131,6 +131,9 @@ def test_a_transfer_is_told_by_its_dofs() -> None:
     # A point with a number beside a column that is no point: not the same place.
     assert is_transfer(port("1"), port("f")) and is_transfer(port("f"), port("1"))
     assert not is_transfer(port("x"), port("f"))
+    # Two points of a universal file in one direction.
+    assert is_transfer(port("1.x", 0.0), port("3.x", 0.0))
+    assert not is_transfer(port("3.x", 0.0), port("3.x", 0.0))
 
 
 def test_what_an_frf_is_taken_for_is_said() -> None:

@@ -136,3 +136,14 @@ def test_a_line_through_values_with_a_common_error_scatters_as_stated(rng) -> No
         assert scatter == pytest.approx(
             np.median([fit.std_error(number) for fit in fits]), rel=4 / np.sqrt(1000)
         )
+
+
+def test_the_model_error_that_tests_share_is_left_out_beside_stated_numbers() -> None:
+    """Of a value with a model error of 5 s its fit alone has the error s, with a budget as without."""
+    (fit,), _ = gained([1e6])
+    k = fit.parameter("k")
+    wide = dataclasses.replace(k, value=1.1e6, fitted=k.value, std_error_inflated=5e3)
+    budget = dataclasses.replace(fit.budget, random=np.array([5e3]))
+    alone = dataclasses.replace(fit, parameters=(wide,), budget=budget).as_fitted
+    assert alone.parameter("k").value == k.value
+    assert random_error(alone, alone.parameter("k")) == pytest.approx(1e3)

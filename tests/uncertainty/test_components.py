@@ -35,6 +35,15 @@ def test_unequal_groups_use_their_effective_size() -> None:
     assert found.between == pytest.approx(np.sqrt((between - within) / 2.4))
 
 
+def test_the_mean_counts_every_setting_once() -> None:
+    """Means 2 and 5 of three tests and of one: 3.5 +- |5 - 2| / 2, the standard deviation 3 / sqrt 2 over
+    sqrt 2. All four tests count with 1/6, 1/6, 1/6 and 1/2.
+    """
+    found = components(np.array([1.0, 2.0, 3.0, 5.0]), np.array(["a", "a", "a", "b"]))
+    assert (found.mean, found.mean_error) == pytest.approx((3.5, 1.5))
+    assert found.weights == pytest.approx([1 / 6, 1 / 6, 1 / 6, 1 / 2])
+
+
 def test_settings_that_scatter_less_than_their_repeats_have_no_part_of_their_own() -> None:
     found = components(np.array([1.0, 3.0, 1.1, 3.1]), np.array(["a", "a", "b", "b"]))
     assert found.between == 0.0

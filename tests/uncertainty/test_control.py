@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.errors import FitError
 from labpipe.uncertainty.weighted import control_limits, from_the_rest, straight_trend
@@ -41,6 +42,19 @@ def test_p_values_of_alike_tests_are_uniform(rng: np.random.Generator) -> None:
     # Slightly too few small ones are expected: the errors of the others are enlarged where they scatter more
     # than stated.
     assert 0.02 < np.mean(chances < 0.05) < 0.06
+
+
+@pytest.mark.parametrize("common", [False, True])
+def test_scatter_beyond_the_errors_is_no_crowd_of_outliers(rng: np.random.Generator, common: bool) -> None:
+    """20 alike tests that scatter by ten of their errors: 5 % are apart at a level of 5 %, not 64 %."""
+    errors = np.eye(20) + 0.25 * common
+    chances = np.concatenate(
+        [from_the_rest(rng.normal(5.0, 10.0, 20), errors if common else np.ones(20))[1] for _ in range(20)]
+    )
+    assert 0.02 < np.mean(chances < 0.05) < 0.1
+    far = from_the_rest(np.array([1.0, -2.0, 0.0, 2.0, -1.0, 20.0]), np.full(6, 0.1))[1]
+    # Student's t of 4 degrees of freedom: 20 over 1.58 sqrt(1 + 1/5).
+    assert far[5] == pytest.approx(2 * stats.t.sf(20 / np.sqrt(2.5 * 1.2), 4))
 
 
 def test_a_trend_without_scatter_is_found_exactly() -> None:

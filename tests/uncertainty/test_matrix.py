@@ -322,3 +322,18 @@ def test_rest_positions_are_shown_in_um_or_in_shares_of_the_clearance(clearance:
     by_slope, by_shaking = ("12.0 ± 1.0", "3.00 ± 0.50"), ("none", "none")
     assert table.rows[0] == ("1000", "30.0", "-40.0", size, "30", *by_slope, *by_shaking, "0.034")
     assert table.caption == "Rest positions at speed 3000 rpm; p-value: that static slope and shaking agree"
+
+
+def test_temperatures_some_kelvin_apart_are_two_levels() -> None:
+    """2 % of 298 K are 6 K: 20 and 25 degC were one level, and their coefficients its repeats."""
+    tests = [({"k": (k, 1e3)}, {"oil": oil}) for k, oil in ((1e6, "20 degC"), (1.1e6, "25 degC"))]
+    matrix = a_matrix(tests, MatrixSettings(fit="axial", over=("oil",), name="tm"))
+    assert matrix.axes[0].levels == pytest.approx((293.15, 298.15))
+
+
+def test_a_load_that_is_no_force_has_no_slope_of_its_path() -> None:
+    path = EquilibriumSettings(load="load", x="x", y="y")
+    settings = MatrixSettings(fit="axial", over=("load",), path=path, name="tm")
+    tests = [({"k": (1e6, 1e3)}, {"load": f"{load} kg", "x": "1 um", "y": "2 um"}) for load in (1, 2)]
+    with pytest.raises(ConfigError, match="'load' is no force but in kg"):
+        a_matrix(tests, settings)

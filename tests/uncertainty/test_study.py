@@ -166,6 +166,7 @@ expect:
         ("identify={}", "there is nothing to study"),
         ("identify={ml: {model: modal}}", "the rig states no parameter of fit 'ml'; it states k_1_1"),
         ("identify.ml.bands=[0.05-0.2 Hz, 0.2-0.4 Hz]", "fit 'ml' has 2 results; a study repeats a fit of"),
+        ("identify.ml.sliding={width: 0.2 Hz, step: 0.1 Hz}", "results; a study repeats a fit of one band"),
     ],
 )
 def test_faults_of_a_study_are_said(

@@ -67,6 +67,17 @@ def test_a_case_by_hand() -> None:
     assert k.coverage == pytest.approx(2 / 3) and case.coverage == pytest.approx((2 / 3 + 1 + 1) / 3)
 
 
+def test_what_a_fit_eliminates_counts_as_zero() -> None:
+    """k_1_2 = -2 is dropped in one of two repeats, which makes an error of 2 x 2^2 = 8 and no success."""
+    whole = outcome(3.0, -2.0)
+    without = Outcome(True, tuple(p for p in whole.parameters if p.name != "k_1_2"))
+    for outcomes in ([whole, without], [without, whole]):
+        case = summarise(outcomes, FIT, TRUTH, {}, (0.1,), 0.02, 25)
+        assert case.mean_error == pytest.approx(4.0) and case.success == (0.5,)
+        beside = next(parameter for parameter in case.parameters if parameter.name == "k_1_2")
+        assert beside.mean == pytest.approx(-1.0) and beside.rmse == pytest.approx(math.sqrt(2))
+
+
 def test_nothing_but_failures() -> None:
     case = summarise([Outcome(False, ())] * 3, FIT, TRUTH, {}, (0.1,), 0.5, 25)
     assert (

@@ -333,9 +333,8 @@ def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list
         *diagnostics.estimate_findings(estimate, names, solved.misfit.receptance.frequency.size),
         *diagnostics.excess_findings(estimate, biased),
     ]
-    groups = diagnostics.collinear_groups(estimate.scaled_design, names) if names else []
-    group = {name for collinear in groups for name in collinear}
-    along = DEPTH in solved.misfit.model.names and not group & {DEPTH, ANGLE}
+    group = diagnostics.collinear_group(estimate.scaled_design, names) if names else []
+    along = DEPTH in solved.misfit.model.names and not {*group} & {DEPTH, ANGLE}
     return [finding for finding in findings if finding.code != "collinear" or not along]
 
 
