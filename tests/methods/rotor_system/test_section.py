@@ -20,9 +20,9 @@ from labpipe.methods.rotor_system.evaluate import _modes, _result
 from labpipe.methods.rotor_system.posterior import fit_system
 from labpipe.methods.rotor_system.settings import SystemTest
 from labpipe.methods.rotor_system.system_file import load_system
-from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig
+from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, rotor_runs
 from labpipe.project.work import Work
-from tests.methods.rotor_system.two_discs import system
+from tests.methods.rotor_system.two_discs import OIL, system
 
 ROOT = Path(__file__).parents[3]
 # Of a rotor as declared: its interval is many times wider than they can move it.
@@ -213,6 +213,11 @@ def test_faults_are_said_at_their_place(tmp_path: Path, labpipe, change: dict, w
             "a second stiffening of sleeves 'A'",
         ),
         (
+            "sleeves: [{element: 4, outer_diameter: 50 mm, stiffening: 1.2 +- 30 %, name: A}, "
+            "{element: 5, outer_diameter: 50 mm, stiffening: 1.2 +- 10 %, name: A}]",
+            "a second stiffening of sleeves 'A'",
+        ),
+        (
             "discs: [{node: 5, mass: 12 kg +- 3 % (source=scale), transverse_inertia: 0.06 kg.m^2, "
             "polar_inertia: 0.11 kg.m^2}, {node: 10, mass: 9 kg +- 3 % (source=scale), "
             "transverse_inertia: 0.04 kg.m^2, polar_inertia: 0.07 kg.m^2}]",
@@ -283,6 +288,21 @@ def test_two_unbalances_on_a_node_are_one(tmp_path: Path) -> None:
     (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
     ((node, mean, error),) = load_system(tmp_path / "rotor.yaml").unbalances
     assert (node, mean, error) == (5, pytest.approx(1e-4 + 1e-4j), pytest.approx(5e-5))
+
+
+def test_what_a_rotor_file_states_is_not_what_it_estimates(tmp_path: Path) -> None:
+    """A mass in its long form, limits of .9 kg: .9 / sqrt(3) kg. A sleeve of two rings, one of which states
+    its stiffening to 10 %, does not get the usual 30 % by `estimate`.
+    """
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    whole["discs"][0]["mass"] = {"value": "12 kg", "limits": "0.9 kg"}
+    ring = {"element": 4, "outer_diameter": "50 mm", "stiffening": "1.35", "name": "A"}
+    whole["sleeves"] = [ring | {"stiffening": "1.35 +- 10 %"}, ring | {"element": 5}, ring | {"name": "B"}]
+    whole["estimate"] = ["sleeves"]
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
+    found = load_system(tmp_path / "rotor.yaml")
+    assert found.masses == pytest.approx((0.9 / math.sqrt(3) / 12, 0.03))
+    assert [error for _, _, error in found.sleeves.values()] == pytest.approx([0.1, 0.3])
 
 
 def test_pedestals_that_are_known_are_nothing_unknown(tmp_path: Path, labpipe) -> None:
@@ -404,15 +424,33 @@ def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe, monkeypatch) ->
 @pytest.mark.parametrize(
     ("probes", "band", "said"),
     [
-        ((3.5,), (10.0, 300.0), "nodes are whole numbers"),
-        ((3.0,), (10.2, 10.8), "no line every 1 Hz lies in the band"),
+        ((3.5,), (10.0, 300.0), "whole numbers of nodes"),
+        ((), (10.0, 300.0), "'probes': whole numbers of nodes"),
+        ((3.0, 3.0), (10.0, 300.0), "each once"),
+        ((14.0,), (10.0, 300.0), "from 1 to 13"),
+        ((3.0,), (10.2, 10.8), "no line every 1 Hz, or one at 0 Hz, lies in the band"),
+        ((3.0,), (0.0, 300.0), "or one at 0 Hz"),
     ],
 )
 def test_a_virtual_rotor_that_cannot_be_tested_is_refused(
     probes: tuple[float, ...], band: tuple[float, float], said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band)
+        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band, system=system())
+
+
+def test_runs_that_a_virtual_rotor_has_not(tmp_path: Path) -> None:
+    """No film carries it at rest, and nothing drives a run-up without an unbalance."""
+    own = system()
+    rig = RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), (3.0,), (5.0, 50.0), system=replace(own, unbalances=()))
+    with pytest.raises(ConfigError, match="nothing excites the run-up"):
+        rotor_runs(rig, 0, ["run-up"])
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    whole["bearings"][0] = yaml.safe_load(OIL.format("left", 2))
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
+    rig = replace(rig, system=load_system(tmp_path / "rotor.yaml"))
+    with pytest.raises(ConfigError, match="the rotor rests in run 'shaken-y', where no oil film carries it"):
+        rotor_runs(rig, 0, ["shaken-y"])
 
 
 def test_a_period_of_a_virtual_rotor_is_whole() -> None:
