@@ -21,6 +21,7 @@ from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 from labpipe.records.settings import StandardDeviations, quantity
+from labpipe.records.uncertain import Uncertainty
 
 # What a film's curve over the Sommerfeld number takes.
 ON_CURVE = ("clearance", "viscosity")
@@ -136,6 +137,8 @@ APPARENT = 5.0
 RUNNING = ""
 DIRECTIONS = ("y", "z")
 COEFFICIENTS = ("yy", "yz", "zy", "zz")
+# Direct coefficients that are one number, by their letter.
+ALIKE = {"k": "k_yy", "c": "c"}
 
 
 @dataclass(frozen=True)
@@ -173,15 +176,15 @@ class Pedestal:
 class LinearBearing:
     """Constant *stiffness* [N/m] and *damping* [N s/m], (2, 2) in y and z, with their standard uncertainties,
     0 where one is known: of the logarithms of direct coefficients, which keep their sign, and of the numbers
-    themselves where they are zero or cross-coupled. *common*: c_yy and c_zz are one number. *skew*: k_yz is
-    -k_zy, of a seal, and acts while the rotor turns.
+    themselves where they are zero or cross-coupled. *common*: letters, k and c, whose direct coefficients are
+    one number. *skew*: k_yz is -k_zy, of a seal, and acts while the rotor turns.
     """
 
     stiffness: FloatArray
     damping: FloatArray
     stiffness_error: FloatArray
     damping_error: FloatArray
-    common: bool = False
+    common: str = ""
     skew: bool = False
 
 
@@ -200,14 +203,14 @@ def linear_bearing(
     bare = not (k[0, 1] or k[1, 0] or {"k_yz", "k_zy"} & stated.keys())
     skew = settings.k_cross is not None or (cross_error > 0 and bare)
 
+    common = ("k" if settings.k_zz is None else "") + ("c" if settings.c is not None else "")
+
     def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
         names = [f"{letter}_{label}" for label in COEFFICIENTS]
-        if letter == "k" and settings.k_zz is None:
-            names[3] = "k_yy"
+        if letter in common:
+            names[0] = names[3] = ALIKE[letter]
         if letter == "k" and skew:
             names[1] = names[2] = "k_cross"
-        if letter == "c" and settings.c is not None:
-            names[0] = names[3] = "c"
         # A direct coefficient keeps its sign, so that it is the logarithm that is uncertain.
         sizes = np.abs(values).ravel()
         units = np.where((sizes > 0) & np.array([True, False, False, True]), sizes, 1.0)
@@ -218,9 +221,7 @@ def linear_bearing(
         errors = [stated[name] / unit if name in stated else error for name, unit, error in coefficients]
         return np.array(errors).reshape(2, 2)
 
-    return LinearBearing(
-        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None, skew
-    )
+    return LinearBearing(k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), common, skew)
 
 
 @dataclass(frozen=True)
@@ -260,25 +261,28 @@ class RotorSystem:
 @dataclass(frozen=True)
 class Built:
     """A model with what tests need: planes (dof of y, numbers of the real and imaginary part) of the
-    unbalances by node, and gains and phases of the probes by run-up.
+    unbalances by node, gains and phases of the probes by run-up, and the numbers of errors by their sources.
     """
 
     model: SystemModel
     planes: Mapping[int, tuple[int, int, int]]
     gains: Mapping[str, tuple[int, ...]]
     phases: Mapping[str, tuple[int, ...]]
+    sources: Mapping[str, int]
 
 
 @dataclass(frozen=True)
 class Sensors:
     """The sensors of a test: their *labels*, standard uncertainty of each *gain*, whether the rotor turns
-    meanwhile, and whether their *phase* counts, as of the vectors of a run-up.
+    meanwhile, whether their *phase* counts, as of the vectors of a run-up, and what their rig file states of
+    their *calibrations*.
     """
 
     labels: tuple[str, ...]
     gain: float = 0.0
     turning: bool = False
     phase: bool = False
+    calibrations: tuple[Uncertainty, ...] = ()
 
 
 # Named alternatives to a model that does not fit: pedestals that the file does not have, bearings that all
@@ -322,7 +326,7 @@ class _Builder:
         self.system, self.small, self.running = system, small, running
         self.unknowns: list[Unknown] = []
         self.terms: list[Term] = []
-        # Inputs of bearing models by their sources: numbers of one source have one error.
+        # Inputs of bearing models and calibrations by their sources: numbers of one source have one error.
         self.sources: dict[str, int] = {}
         self.together = {
             letter: self.unknown(f"all bearings {letter} running", small.together, tests=running)
@@ -366,10 +370,12 @@ class _Builder:
             phase = self.small.phase if channels.phase else 0.0
             gains[test] = self._of_sensors("gain", test, channels, channels.gain)
             phases[test] = self._of_sensors("phase", test, channels, phase, unit="rad", group="phase")
+            for stated in channels.calibrations:
+                self._source(f"sensor {stated.source}", stated, 0.0)
         n_shaft = 4 * rig.rotor.n_node
         n_dof = n_shaft + 2 * len(self.system.pedestals)
         model = SystemModel(tuple(self.unknowns), tuple(self.terms), n_dof, n_shaft)
-        return Built(model, planes, gains, phases)
+        return Built(model, planes, gains, phases, self.sources)
 
     def _of_sensors(
         self, what: str, test: str, sensors: Sensors, error: float, **entries: Any
@@ -485,9 +491,9 @@ class _Builder:
                 value, error = float(values[row, column]), float(errors[row, column])
                 if not value and not error:
                     continue
-                alike = letter == "c" and bearing.common and row == column
+                alike = letter in bearing.common and row == column
                 turning = letter == "k" and bearing.skew and row != column
-                shown = letter if alike else "k_cross" if turning else f"{letter}_{label}"
+                shown = ALIKE[letter] if alike else "k_cross" if turning else f"{letter}_{label}"
                 if shown not in numbers:
                     linear = not value or row != column
                     numbers[shown] = self._with_running(f"{name} {shown}", error, value, unit, linear)
@@ -526,16 +532,20 @@ class _Builder:
         running = self.unknown(f"{name} running", self.small.bearings, tests=self.running, group="bearings")
         return (*running, *self.together[name.rpartition(" ")[2][0]])
 
+    def _source(self, name: str, stated: Uncertainty, value: float) -> int:
+        """The number of what errs by a *stated* uncertainty; a new one where its source is new."""
+        if stated.source not in self.sources:
+            (self.sources[stated.source],) = self.unknown(
+                name, stated.std_error, value, unit=stated.unit or "1"
+            )
+        return self.sources[stated.source]
+
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
         """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
         inputs, scales = [], []
         for entry in place.uncertainties:
-            source = entry.uncertainty.source
-            if source not in self.sources:
-                name = source.replace(": ", " ")
-                size, unit = entry.uncertainty.std_error, entry.uncertainty.unit
-                self.sources[source] = self.unknown(name, size, entry.value, unit=unit)[0]
-            inputs.append(self.sources[source])
+            name = entry.uncertainty.source.replace(": ", " ")
+            inputs.append(self._source(name, entry.uncertainty, entry.value))
             unknown = self.unknowns[inputs[-1]]
             scales.append((unknown.mean, unknown.error))
         theory = Theory(place, self.system.rig.static_loads()[place.name], np.array(scales).reshape(-1, 2))

@@ -88,9 +88,11 @@ class SystemPosterior(Posterior[SystemModel]):
 
     @property
     def chi2(self) -> dict[str, tuple[float, int]]:
-        """(chi-square, data) by test."""
-        names = (test.name for test in self.tests)
-        return {n: (float(r @ r), r.size) for n, (r, _) in zip(names, self.by_test, strict=True)}
+        """(chi-square, independent data) by test."""
+        return {
+            test.name: (float(r @ r), max(1, round(r.size / getattr(test, "shared", 1.0))))
+            for test, (r, _) in zip(self.tests, self.by_test, strict=True)
+        }
 
     @cached_property
     def spread(self) -> FloatArray:

@@ -297,9 +297,8 @@ def balance(
     if not settings.balance_speeds or not runs:
         return None
     speed = 2 * np.pi * np.array(settings.balance_speeds)
-    test = replace(
-        runs[0], speed=speed, added=(), measured=np.zeros((speed.size, len(runs[0].outputs)), complex)
-    )
+    nothing = np.zeros((speed.size, len(runs[0].outputs)), complex)
+    test = replace(runs[0], speed=speed, added=(), measured=nothing, changes={})
     drawn = drawn_influence(built, test, posterior.draws(settings.draws, settings.seed))
     weights = best_weights(square_of(drawn))
     before, left = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))

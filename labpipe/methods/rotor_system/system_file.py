@@ -167,9 +167,9 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
     """
     if node is None or not isinstance(node.content, dict | list):
         return {}
-    listed = isinstance(node.content, list)
-    entries = {str(n): entry for n, entry in enumerate(node.content, 1)} if listed else node.content
-    taken = {}
+    entries, taken = node.content, {}
+    if isinstance(entries, list):
+        entries = {str(n): entry for n, entry in enumerate(entries, 1)}
     for label, entry in entries.items():
         if not isinstance(entry.content, dict) or name not in entry.content:
             continue
