@@ -6,7 +6,7 @@ and the two speeds at .707 of it. Margins by the formulas of API 617 and 684, kn
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,11 +26,16 @@ from labpipe.report.document import Block, Document, Figure, Paragraph, Section,
 FREQUENCY_STEP = 0.15
 # Modes that are followed.
 MOST_MODES = 8
-# Half-power points, and speeds per peak of the response.
+# Half-power points, speeds of the response, speeds about a peak that is sharper than these tell, and the part
+# of a speed over which they end: there the peak is without damping.
 HALF_POWER = np.sqrt(0.5)
-FINE = 1500
+FINE, CLOSER, SHARPEST = 1500, 201, 1e-8
+# From speeds (n,) [Hz] to amplitudes (n,) [m].
+AmplitudeAt = Callable[[FloatArray], FloatArray]
 # Amplitudes [m] below which a point is at rest: what they are to the power of -2 is still a number.
 AT_REST = 1e-150
+# Difference of ln speed up to which two peaks are one: of sharp ones, and at most.
+ALIKE = 0.01, 0.03
 # Amplification below which API 684 sees no critical speed.
 LEAST_AMPLIFICATION = 2.5
 
@@ -78,6 +83,11 @@ class Critical:
     def amplification(self) -> float | None:
         """AF = N_c / (N_2 - N_1)."""
         return None if self.low is None or self.high is None else self.speed / (self.high - self.low)
+
+    def is_like(self, other: Critical) -> bool:
+        """Whether two peaks are of one critical speed: within 3 %, of sharp ones two bandwidths but 1 %."""
+        sharpest = max(self.amplification or 0.0, other.amplification or 0.0, 1.0)
+        return abs(np.log(self.speed / other.speed)) <= np.clip(2 / sharpest, *ALIKE)
 
     def margin(self, operating: float) -> tuple[float, float] | None:
         """The separation from an *operating* speed [Hz] there is, and the one that is asked for, [%]; None
@@ -214,24 +224,37 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
     amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
     outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
+
+    def amplitudes(speeds: FloatArray) -> FloatArray:
+        motion = np.array(
+            [
+                response.unbalance_response(
+                    rig.rotor, at(speed), np.array([2 * np.pi * speed]), amounts, outputs
+                )
+                for speed in speeds.tolist()
+            ]
+        ).reshape(speeds.size, len(nodes), 2)
+        # The major semi-axis of an orbit is the sum of its two circles.
+        return np.asarray(np.sum(np.abs(response.forward_backward_motion(motion)), axis=2))
+
+    def of_node(n: int) -> AmplitudeAt:
+        return lambda speeds: amplitudes(speeds)[:, n]
+
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
-    motion = np.array(
-        [
-            response.unbalance_response(
-                rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs
-            )
-            for speed in fine
-        ]
-    ).reshape(fine.size, len(nodes), 2)
-    # The major semi-axis of an orbit is the sum of its two circles.
-    amplitude = np.sum(np.abs(response.forward_backward_motion(motion)), axis=2)
-    criticals = [critical for n, node in enumerate(nodes) for critical in peaks(fine, amplitude[:, n], node)]
+    amplitude = amplitudes(fine)
+    criticals = [
+        critical
+        for n, node in enumerate(nodes)
+        for critical in peaks(fine, amplitude[:, n], node, of_node(n))
+    ]
     return replace(theory, criticals=_distinct(criticals), fine=fine, amplitude=amplitude, nodes=tuple(nodes))
 
 
-def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Critical]:
+def peaks(
+    speed: FloatArray, amplitude: FloatArray, node: int = 0, finer: AmplitudeAt | None = None
+) -> list[Critical]:
     """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds; none of a
-    point at rest.
+    point at rest. What is sharper than the speeds tell is looked at at others, with *finer*.
     """
     if np.min(amplitude) < AT_REST:
         return []
@@ -242,8 +265,11 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
             curve, bounds=(speed[n - 1], speed[n + 1]), method="bounded", options={"xatol": 1e-9 * speed[n]}
         )
         if least.fun <= 0 or amplitude[n] < HALF_POWER * least.fun**-0.5:
-            # Sharper than the speeds tell.
-            criticals.append(Critical(float(speed[n]), float(amplitude[n]), node))
+            near = speed[max(n - 2, 0) : n + 3]
+            closer = np.linspace(near[0], near[-1], CLOSER)
+            more = finer is not None and np.ptp(near) > SHARPEST * speed[n]
+            found = peaks(closer, finer(closer), node, finer) if finer and more else []
+            criticals += found or [Critical(float(speed[n]), float(amplitude[n]), node)]
             continue
         top, height = float(least.x), float(least.fun) ** -0.5
         below = np.flatnonzero(amplitude[:n] < HALF_POWER * height)
@@ -259,10 +285,10 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
 
 
 def _distinct(criticals: Sequence[Critical]) -> tuple[Critical, ...]:
-    """Peaks within 3 % of each other are one critical speed, told where it is sharpest."""
+    """Peaks that are alike are one critical speed, told where it is sharpest."""
     kept: list[Critical] = []
     for critical in sorted(criticals, key=lambda c: -(c.amplification or 0.0)):
-        if all(abs(critical.speed / other.speed - 1) > 0.03 for other in kept):
+        if not any(critical.is_like(other) for other in kept):
             kept.append(critical)
     return tuple(sorted(kept, key=lambda critical: critical.speed))
 
@@ -287,7 +313,7 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
             f"at node {critical.node}"
         )
         if critical.amplification is None:
-            yield f"{text}; no amplification factor within the speeds"
+            yield f"{text}; no half-power points within the speeds"
             continue
         text += f", amplification {critical.amplification:.3g}"
         margin = critical.margin(operating)

@@ -17,7 +17,7 @@ from labpipe.errors import FitError
 from labpipe.methods.balancing.influence import best_weights, rms_left, square_of
 from labpipe.methods.rotor.posterior import root_of
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, Modes
-from labpipe.methods.rotor.theory import Critical, follow, peaks
+from labpipe.methods.rotor.theory import AmplitudeAt, Critical, follow, peaks
 from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
@@ -165,11 +165,16 @@ class _Reduced:
     def amplitudes(
         self, values: FloatArray, speed: FloatArray, forces: ComplexArray, outputs: Sequence[int]
     ) -> FloatArray:
-        """|z| (n_speed, n_output) [m] at *speed* (n_speed,) [rad/s]; *forces* (n_dof,) [kg m]."""
-        (stiffness,) = self.model.dynamic(values, speed, speed)
-        turned = self.basis.T @ forces * speed[:, None] ** 2
+        """|z| (n_speed, n_output) [m] at *speed* (n_speed,) [Hz]; *forces* (n_dof,) [kg m]."""
+        omega = 2 * np.pi * speed
+        (stiffness,) = self.model.dynamic(values, omega, omega)
+        turned = self.basis.T @ forces * omega[:, None] ** 2
         motion = np.linalg.solve(stiffness, turned[:, :, None])[:, :, 0]
         return np.asarray(np.abs(motion @ self.basis[list(outputs)].T))
+
+    def at(self, values: FloatArray, forces: ComplexArray, output: int) -> AmplitudeAt:
+        """The same at one *output*, over the speed alone."""
+        return lambda speed: self.amplitudes(values, speed, forces, [output])[:, 0]
 
 
 def unbalance_forces(built: Built, values: FloatArray) -> ComplexArray:
@@ -200,48 +205,45 @@ def critical_speeds(
     reduced = _Reduced(model, values, forced, 2 * np.pi * float(np.sqrt(band[0] * band[1])))
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
     forces = unbalance_forces(built, posterior.values)
-    amplitude = reduced.amplitudes(values, 2 * np.pi * coarse, forces, outputs)
-    courses = zip(amplitude.T, outputs, strict=True)
-    all_peaks = [(peak, dof) for course, dof in courses for peak in peaks(coarse, course)]
-    distinct: list[tuple[Critical, int]] = []
-    for peak, dof in sorted(all_peaks, key=lambda pair: -pair[0].amplitude):
-        if all(abs(np.log(peak.speed / other.speed)) > 0.03 for other, _ in distinct):
-            distinct.append((peak, dof))
+    amplitude = reduced.amplitudes(values, coarse, forces, outputs)
+    all_peaks = [
+        peak
+        for course, dof in zip(amplitude.T, outputs, strict=True)
+        for peak in peaks(coarse, course, dof, reduced.at(values, forces, dof))
+    ]
+    distinct: list[Critical] = []
+    for peak in sorted(all_peaks, key=lambda peak: -peak.amplitude):
+        if not any(peak.is_like(other) for other in distinct):
+            distinct.append(peak)
     draws = posterior.values + posterior.widened * (posterior.draws(n_draw, seed) - posterior.values)
-    speeds = np.log([peak.speed for peak, _ in distinct])
+    speeds = np.log([peak.speed for peak in distinct])
     # A peak of a draw is the same one where it is nearer to it than to any other.
     rooms = [min([*(abs(at - other) / 2 for other in speeds if other != at), AROUND]) for at in speeds]
     criticals = [
-        _critical(reduced, built, peak, dof, draws, operating, room)
-        for (peak, dof), room in zip(distinct, rooms, strict=True)
+        _critical(reduced, built, peak, draws, operating, room)
+        for peak, room in zip(distinct, rooms, strict=True)
     ]
     return sorted(criticals, key=lambda critical: critical.speed)
 
 
 def _critical(
-    reduced: _Reduced,
-    built: Built,
-    peak: Critical,
-    dof: int,
-    draws: FloatArray,
-    operating: float,
-    apart: float,
+    reduced: _Reduced, built: Built, peak: Critical, draws: FloatArray, operating: float, apart: float
 ) -> records.CriticalResult:
     half = AROUND
     # A flat peak needs more room for its half-power points.
     if peak.low is not None and peak.high is not None:
         half = max(half, 2 * np.log(peak.high / peak.speed), 2 * np.log(peak.speed / peak.low))
-    rows = _drawn_peaks(reduced, built, peak, dof, draws, (half, half * STEP / AROUND, apart))
+    rows = _drawn_peaks(reduced, built, peak, draws, (half, half * STEP / AROUND, apart))
     if np.mean([row is None for row in rows]) > SCATTERED:
         # Speeds that are hardly known: the nearest peak, wherever it is.
-        rows = _drawn_peaks(reduced, built, peak, dof, draws, (WIDE, 2 * STEP, WIDE))
+        rows = _drawn_peaks(reduced, built, peak, draws, (WIDE, 2 * STEP, WIDE))
     there = [row for row in rows if row is not None]
     whole = [row for row in there if row.amplification is not None]
     factors = np.array([row.amplification for row in whole], dtype=float)
     margins = [row.margin(operating) for row in whole] if operating else []
     asked = [margin for margin in margins if margin is not None and margin[1] > 0]
     return records.CriticalResult(
-        f"{dof // 4 + 1} {'yz'[dof % 4]}",
+        f"{peak.node // 4 + 1} {'yz'[peak.node % 4]}",
         peak.speed,
         _interval(peak.speed, np.array([row.speed for row in there])),
         peak.amplification,
@@ -255,12 +257,7 @@ def _critical(
 
 
 def _drawn_peaks(
-    reduced: _Reduced,
-    built: Built,
-    peak: Critical,
-    dof: int,
-    draws: FloatArray,
-    looked: tuple[float, float, float],
+    reduced: _Reduced, built: Built, peak: Critical, draws: FloatArray, looked: tuple[float, float, float]
 ) -> list[Critical | None]:
     """The nearest peak of every draw; *looked*: ln of the speeds to either side, their step, and how far a
     peak may be off.
@@ -269,9 +266,9 @@ def _drawn_peaks(
     grid = peak.speed * np.exp(np.arange(-half, half + step, step))
     rows: list[Critical | None] = []
     for values in draws:
-        acting = at_speed(reduced.model, values)
-        amplitude = reduced.amplitudes(acting, 2 * np.pi * grid, unbalance_forces(built, values), [dof])[:, 0]
-        near = [other for other in peaks(grid, amplitude) if abs(np.log(other.speed / peak.speed)) < apart]
+        amplitude = reduced.at(at_speed(reduced.model, values), unbalance_forces(built, values), peak.node)
+        found = peaks(grid, amplitude(grid), peak.node, amplitude)
+        near = [other for other in found if abs(np.log(other.speed / peak.speed)) < apart]
         rows.append(min(near, key=lambda other: abs(np.log(other.speed / peak.speed))) if near else None)
     return rows
 

@@ -162,7 +162,7 @@ def _critical_sentence(critical: CriticalResult, operating: float) -> str:
     ends = _ends(critical.speed_interval, RPM, ".0f")
     text = f"critical speed {RPM * critical.speed:.0f} rpm (95 %: {ends}) at {critical.place}"
     if critical.amplification is None or critical.amplification_interval is None:
-        return f"{text}; no amplification factor within the speeds"
+        return f"{text}; no half-power points within the speeds"
     ends = _ends(critical.amplification_interval)
     text += f", amplification {critical.amplification:.3g} (95 %: {ends})"
     if critical.missing > 0.05:

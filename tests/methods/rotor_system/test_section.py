@@ -31,6 +31,7 @@ from labpipe.methods.rotor_system.system_file import load_system
 from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, rotor_runs
 from labpipe.methods.run_ups.records import ProbeError, RunUp
 from labpipe.methods.run_ups.settings import RunSettings
+from labpipe.project.exports import parameter_table
 from labpipe.project.work import Work
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
@@ -109,6 +110,9 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
         assert words in page
     assert found.sections["rotor_system"].measured == tuple((0.0, f) for f in (44, 60, 80, 95, 105))
     assert "squares: what tests in the bearings measured" in page and "amplitude there [um]" in page
+    # Exported as well, where every number has its row.
+    table = parameter_table(folder / "out/identification.json")
+    assert table[table.fit == "rotor_system"].value.tolist() == found.to_frame().value.tolist()
     frame = found.to_frame()
     assert {"young", "least_decrement", "onset"} <= set(frame[frame.fit == "rotor_system"].parameter)
 
