@@ -136,21 +136,20 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         response.modes(rig.rotor, support, 2 * np.pi * speed)
         for support, speed in zip(supports, speeds, strict=True)
     ]
-    order = follow(at_speeds)
-    frequency, decrement, whirl = (np.full(order.shape, np.nan) for _ in range(3))
-    for number, solution in enumerate(at_speeds):
-        there = order[number] >= 0
-        roots = solution.eigenvalues[order[number, there]]
-        frequency[number, there] = roots.imag / (2 * np.pi)
-        decrement[number, there] = _decrements(roots)
-        whirl[number, there] = solution.whirl[order[number, there]]
+    frequency, decrement, whirl = followed(
+        at_speeds,
+        [
+            (solution.eigenvalues.imag / (2 * np.pi), decrements(solution.eigenvalues), solution.whirl)
+            for solution in at_speeds
+        ],
+    )
     at = _supports_between(speeds, supports)
     try:
         onset = response.onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
     crossings = []
-    for mode in range(order.shape[1]):
+    for mode in range(frequency.shape[1]):
         excess = frequency[:, mode] - speeds
         for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
             share = excess[n] / (excess[n] - excess[n + 1])
@@ -169,14 +168,28 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         decrement,
         whirl,
         None if onset is None else onset / (2 * np.pi),
-        float(np.min(_decrements(lowest), initial=np.inf)),
+        float(np.min(decrements(lowest), initial=np.inf)),
         tuple(sorted(crossings)),
     )
     return _with_response(theory, at) if any(rig.amounts.values()) else theory
 
 
-def _decrements(roots: ComplexArray) -> FloatArray:
+def decrements(roots: ComplexArray) -> FloatArray:
+    """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s]."""
     return np.asarray(-2 * np.pi * roots.real / roots.imag)
+
+
+def followed(
+    each: Sequence[response.Modes], amounts: Sequence[tuple[FloatArray, ...]]
+) -> tuple[FloatArray, ...]:
+    """The *amounts* (n_mode,) [any unit] of the modes at every speed as (n_speed, n_column) of modes that are
+    followed; NaN where one is not there.
+    """
+    order = follow(each)
+    return tuple(
+        np.array([np.append(row, np.nan)[places] for row, places in zip(of_kind, order, strict=True)])
+        for of_kind in zip(*amounts, strict=True)
+    )
 
 
 def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:

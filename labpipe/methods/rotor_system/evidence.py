@@ -110,8 +110,8 @@ def as_real(values: ComplexArray) -> FloatArray:
 def calibrated(
     model: SystemModel, values: FloatArray, changes: Mapping[int, ComplexArray]
 ) -> tuple[ComplexArray | float, dict[int, ComplexArray]]:
-    """What errors of calibrations add to what was measured [its unit], and by each unknown, by the *changes*
-    by one standard uncertainty of the unknowns of these numbers.
+    """What errors of calibrations add to what was measured (n_line, ...) [its unit], and its derivative by
+    each of these unknowns: *changes* by one standard uncertainty.
     """
     by_unknown = {number: change / model.errors[number] for number, change in changes.items()}
     return sum((values[n] - model.means[n]) * slope for n, slope in by_unknown.items()), by_unknown

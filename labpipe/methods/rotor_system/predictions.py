@@ -17,7 +17,7 @@ from labpipe.errors import FitError
 from labpipe.methods.balancing.influence import best_weights, rms_left, square_of
 from labpipe.methods.rotor.posterior import root_of
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, Modes
-from labpipe.methods.rotor.theory import AmplitudeAt, Critical, follow, peaks
+from labpipe.methods.rotor.theory import AmplitudeAt, Critical, decrements, followed, peaks
 from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
@@ -50,28 +50,23 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell
     """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order:
     f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
     """
-    model = posterior.model
+    model, w = posterior.model, posterior.widened
     values = at_speed(model, posterior.values)
-    acting = model.acting(RUNNING)
-    each, roots = [], []
-    for speed in speeds:
-        solution = model.roots(values, 2 * np.pi * float(speed), 2 * MOST_MODES)
+    each, amounts = [], []
+    for speed in 2 * np.pi * speeds:
+        solution = model.roots(values, float(speed), 2 * MOST_MODES)
         shaft = solution.shapes[: model.n_shaft].reshape(-1, 4, solution.values.size)
-        each.append(Modes(2 * np.pi * float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
-        roots.append(solution)
-    order = follow(each)
-    frequency, f_error, decrement, d_error, whirl = (np.full(order.shape, np.nan) for _ in range(5))
-    for number, (solution, modes) in enumerate(zip(roots, each, strict=True)):
-        there = order[number] >= 0
-        chosen = order[number, there]
-        root, slopes = solution.values[chosen], np.where(acting, solution.slopes[chosen], 0.0)
-        frequency[number, there] = root.imag / (2 * np.pi)
-        f_error[number, there] = posterior.gradient_error(slopes.imag) / (2 * np.pi)
-        decrement[number, there], moved = decrements(root, slopes)
-        d_error[number, there] = posterior.gradient_error(moved)
-        whirl[number, there] = modes.whirl[chosen]
-    w = posterior.widened
-    return records.Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
+        each.append(Modes(float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
+        slopes = np.where(model.acting(RUNNING), solution.slopes, 0.0)
+        errors = (
+            w * posterior.gradient_error(s) for s in (slopes.imag, decrement_slopes(solution.values, slopes))
+        )
+        f_error, d_error = errors
+        frequency = solution.values.imag / (2 * np.pi)
+        amounts.append(
+            (frequency, f_error / (2 * np.pi), decrements(solution.values), d_error, each[-1].whirl)
+        )
+    return records.Campbell(np.asarray(speeds), *followed(each, amounts))
 
 
 def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float, float, FloatArray]:
@@ -83,19 +78,19 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     if not roots.values.size:
         raise FitError(f"no mode of the rotor oscillates at {60 * operating:.0f} rpm")
     slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
-    decrement, moved = decrements(roots.values, slopes)
+    decrement, moved = decrements(roots.values), decrement_slopes(roots.values, slopes)
     mode = int(np.argmin(decrement))
     error = posterior.widened * float(posterior.gradient_error(moved[mode]))
     return float(decrement[mode]), error, moved[mode]
 
 
-def decrements(root: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s], and
-    their derivatives (n_mode, n_unknown) by those of the eigenvalues, *slopes* (n_mode, n_unknown).
+def decrement_slopes(root: ComplexArray, slopes: ComplexArray) -> FloatArray:
+    """Derivatives (n_mode, n_unknown) of the decrements of eigenvalues (n_mode,) [1/s] by *slopes* of these
+    (n_mode, n_unknown).
     """
-    delta = -2 * np.pi * root.real / root.imag
-    moved = -2 * np.pi * slopes.real / root.imag[:, None] - (delta / root.imag)[:, None] * slopes.imag
-    return delta, moved
+    return np.asarray(
+        -(2 * np.pi * slopes.real + decrements(root)[:, None] * slopes.imag) / root.imag[:, None]
+    )
 
 
 def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | None:

@@ -17,7 +17,7 @@ from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, Smal
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import Settings, quantity, setting
-from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
+from labpipe.simulate.virtual_rigs import LoggedTable, kind_of_recordings, whole_numbers
 
 KIND = "virtual-rotor-rig"
 # The rotor on strings; shaken at rest in y, and in z; run up.
@@ -79,7 +79,7 @@ class RotorTestRig(Settings):
 
     @property
     def lines(self) -> FloatArray:
-        """Numbers (n_line,) of the excited lines [spacing]."""
+        """Numbers (n_line,) [1] of the excited lines."""
         low, high = self.band
         return np.arange(np.ceil(low / self.spacing - 1e-9), np.floor(high / self.spacing + 1e-9) + 1)
 
@@ -143,7 +143,7 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 
-def _run_up(world: World, rng: np.random.Generator) -> Recording:
+def _run_up(world: World, name: str, rng: np.random.Generator) -> Recording:
     """y(t) = Re(z(Omega(t)) exp(j phi(t))), a pulse of the tacho at every whole turn."""
     rig, built, outputs = world.rig, world.built, world.dofs(world.rig.probes)
     if not built.planes:
@@ -176,44 +176,31 @@ def _run_up(world: World, rng: np.random.Generator) -> Recording:
         for node in rig.probes
         for axis in "xy"
     ]
-    return Recording(tuple(channels), np.column_stack([tacho, motion]), rig.sample_rate, RUN_UP)
+    return Recording(tuple(channels), np.column_stack([tacho, motion]), rig.sample_rate, name)
 
 
-def rotor_runs(rig: RotorTestRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:
-    """The named runs: shaken ones are in their steady state, a run-up is quasi-steady."""
-    world = world_of(rig)
-    return tuple(
-        _run_up(world, generator(seed, name))
-        if name == RUN_UP
-        else _shaken(world, name, generator(seed, name))
-        for name in names
-    )
+def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
+    """A run of the rig: a shaken one is in its steady state, a run-up is quasi-steady."""
+    return (_run_up if name == RUN_UP else _shaken)(world_of(rig), name, rng)
 
 
-def _simulate(rig: RotorTestRig, seed: int, runs: Sequence[str]) -> Simulation:
+def _logged(run: Recording) -> LoggedTable:
     # As loggers of 16 bits store them: in steps of 50 nm and 10 mm/s^2.
     steps = {"displacement": 50, "acceleration": 10}
-    files = {
-        run.name: whole_numbers(
-            run,
-            {"tacho": ("mV", 1e3)},
-            {channel.name: steps.get(channel.quantity, 1) for channel in run.channels},
-        )
-        for run in rotor_runs(rig, seed, runs)
-    }
-    return Simulation(files, {"truth": true_values(rig)})
+    by_channel = {channel.name: steps.get(channel.quantity, 1) for channel in run.channels}
+    return whole_numbers(run, {"tacho": ("mV", 1e3)}, by_channel)
 
 
-ROTOR_RIG = VirtualRigKind(
-    settings=RotorTestRig,
+ROTOR_RIG = kind_of_recordings(
+    RotorTestRig,
     runs=lambda _rig: RUNS,
-    simulate=_simulate,
-    parameters=lambda rig, _runs: true_values(rig),
+    record=record,
+    logged=_logged,
+    truth=true_values,
     noisy=lambda rig, level: replace(
         rig,
         acceleration_noise=level * rig.acceleration_noise,
         force_noise=level * rig.force_noise,
         probe_noise=level * rig.probe_noise,
     ),
-    recordings=rotor_runs,
 )

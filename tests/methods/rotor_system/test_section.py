@@ -28,7 +28,7 @@ from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import Explanation, SystemPosterior, fit_system
 from labpipe.methods.rotor_system.settings import SystemTest
 from labpipe.methods.rotor_system.system_file import load_system
-from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, rotor_runs
+from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, record
 from labpipe.methods.run_ups.records import ProbeError, RunUp
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.project.exports import parameter_table
@@ -285,6 +285,7 @@ rotor_system:
     [
         ("[0, 1]", "'numbers' are whole, from 1 on"),
         ("[1, 2.5]", "'numbers' are whole, from 1 on"),
+        ("[2, 1]", "'numbers' are whole, from 1 on, and rise"),
         ("[1, 99]", "bending modes, not 99"),
     ],
 )
@@ -466,13 +467,13 @@ def test_runs_that_a_virtual_rotor_has_not(tmp_path: Path) -> None:
     own = system()
     rig = RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), (3.0,), (5.0, 50.0), system=replace(own, unbalances=()))
     with pytest.raises(ConfigError, match="nothing excites the run-up"):
-        rotor_runs(rig, 0, ["run-up"])
+        record(rig, "run-up", np.random.default_rng(0))
     whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
     whole["bearings"][0] = yaml.safe_load(OIL.format("left", 2))
     (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
     rig = replace(rig, system=load_system(tmp_path / "rotor.yaml"))
     with pytest.raises(ConfigError, match="the rotor rests in run 'shaken-y', where no oil film carries it"):
-        rotor_runs(rig, 0, ["shaken-y"])
+        record(rig, "shaken-y", np.random.default_rng(0))
 
 
 def test_a_period_of_a_virtual_rotor_is_whole() -> None:
