@@ -105,20 +105,20 @@ class Theory:
     def _at(self, bearing: Bearing, matrix: str, spin: FloatArray, omega: FloatArray) -> FloatArray:
         if isinstance(bearing, MountedBearing) and bearing.kind.dynamic is not None:
             w = np.maximum(omega, SLOWEST)
-            controlled = (id(bearing), w.tobytes())
-            if controlled not in self._controlled:
+            key = (id(bearing), w.tobytes())
+            if key not in self._controlled:
                 if len(self._controlled) > MOST_KEPT:
                     self._controlled.clear()
-                self._controlled[controlled] = bearing.kind.dynamic(bearing.settings, w.ravel())
-            whole = self._controlled[controlled].reshape(*w.shape, 2, 2)
+                self._controlled[key] = bearing.kind.dynamic(bearing.settings, w.ravel())
+            whole = self._controlled[key].reshape(*w.shape, 2, 2)
             return whole.real if matrix == "stiffness" else whole.imag / w[..., None, None]
-        values = []
-        for speed in np.ravel(spin):
-            key = (id(bearing), float(speed))
-            if key not in self._points:
-                self._points[key] = bearing.at(OperatingPoint(self.load, float(speed), float(speed)))
-            values.append(getattr(self._points[key], matrix))
+        values = [getattr(self._point(bearing, float(speed)), matrix) for speed in np.ravel(spin)]
         return np.array(values).reshape(*np.shape(spin), 2, 2)
+
+    def _point(self, bearing: Bearing, speed: float) -> BearingCoefficients:
+        if (id(bearing), speed) not in self._points:
+            self._points[id(bearing), speed] = bearing.at(OperatingPoint(self.load, speed, speed))
+        return self._points[id(bearing), speed]
 
     @cached_property
     def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
@@ -246,11 +246,11 @@ class RotorSystem:
     @property
     def has_unknown(self) -> bool:
         """Whether any number of it is uncertain."""
-        errors = [*self.young.values(), *self.masses, *(error for _, _, error in self.sleeves.values())]
-        errors += [error for _, _, error in self.unbalances]
-        errors += [float(np.max([b.stiffness_error, b.damping_error])) for b in self.linear.values()]
-        errors += [self.internal[1], *(pedestal.error for pedestal in self.pedestals)]
-        return any(errors) or bool(self.rig.sources)
+        errors = [*self.young.values(), *self.masses, self.internal[1]]
+        errors += [error for _, _, error in (*self.sleeves.values(), *self.unbalances)]
+        errors += [pedestal.error for pedestal in self.pedestals]
+        coefficients = [(b.stiffness_error, b.damping_error) for b in self.linear.values()]
+        return any(errors) or bool(np.any(coefficients)) or bool(self.rig.sources)
 
     @property
     def is_uncertain(self) -> bool:
@@ -301,9 +301,9 @@ def build(
     if alternative == PEDESTALS:
         pedestals = tuple(_unknown_pedestal(system, place) for place in system.rig.bearings)
         system = replace(system, pedestals=pedestals)
-    turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
-    if alternative == TOGETHER:
+    elif alternative == TOGETHER:
         small = replace(small, together=ALTOGETHER)
+    turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
     return _Builder(system, small, turning).built(sensors)
 
 
@@ -330,7 +330,7 @@ class _Builder:
         self.sources: dict[str, int] = {}
         self.together = {
             letter: self.unknown(f"all bearings {letter} running", small.together, tests=running)
-            for letter in ("k", "c")
+            for letter in "kc"
         }
 
     def unknown(self, name: str, error: float, mean: float = 0.0, **entries: object) -> tuple[int, ...]:
@@ -408,27 +408,28 @@ class _Builder:
         beta, error = self.system.internal
         internal = self.unknown("internal damping", error if beta else 0.0, nominal=beta, nominal_unit="s")
         for number, element in enumerate(rotor.elements, 1):
-            dofs = range(4 * number - 4, 4 * number + 4)
-            mass, gyroscopic = shaft.inertia_matrices(element)
-            self.add("mass", dofs, mass)
-            self.add("gyroscopic", dofs, gyroscopic)
+            dofs, mass = range(4 * number - 4, 4 * number + 4), self._inertia(number, element)
             sleeve, constant = factors.get(number, ((), 1.0))
             local = self.unknown(f"element {number}", self.small.elements, group="elements")
             acting = (*young[element.material], *sleeve, *local)
             plane = constant * shaft.plane_stiffness(element)
-            self.add("stiffness", dofs, shaft.in_both_planes(plane), acting)
+            stiffness, turning = shaft.in_both_planes(plane), (*acting, *internal)
+            self.add("stiffness", dofs, stiffness, acting)
             if rotor.alpha or rotor.beta:
                 self.add("damping", dofs, rotor.alpha * mass)
-                self.add("damping", dofs, rotor.beta * shaft.in_both_planes(plane), acting)
+                self.add("damping", dofs, rotor.beta * stiffness, acting)
             if beta:
-                self.add("damping", dofs, beta * shaft.in_both_planes(plane), (*acting, *internal))
-                self.add("circulatory", dofs, beta * shaft.across_planes(plane), (*acting, *internal))
+                self.add("damping", dofs, beta * stiffness, turning)
+                self.add("circulatory", dofs, beta * shaft.across_planes(plane), turning)
         for ring in rotor.sleeves:
             element = rotor.elements[ring.element - 1]
-            mass, gyroscopic = shaft.inertia_matrices(element, ring.tube(element))
-            dofs = range(4 * ring.element - 4, 4 * ring.element + 4)
-            self.add("mass", dofs, mass)
-            self.add("gyroscopic", dofs, gyroscopic)
+            self._inertia(ring.element, element, ring.tube(element))
+
+    def _inertia(self, number: int, element: shaft.ShaftElement, *ring: shaft.ShaftElement) -> FloatArray:
+        mass, gyroscopic = shaft.inertia_matrices(element, *ring)
+        for name, matrix in (("mass", mass), ("gyroscopic", gyroscopic)):
+            self.add(name, range(4 * number - 4, 4 * number + 4), matrix)
+        return mass
 
     def _discs(self) -> None:
         rotor = self.system.rig.rotor
@@ -437,11 +438,11 @@ class _Builder:
             y, z, about_y, about_z = range(4 * disc.node - 4, 4 * disc.node)
             mass = self.unknown(f"mass of disc {number}", error, nominal=disc.mass, nominal_unit="kg")
             transverse, polar = (
-                (*mass, *self.unknown(f"{name} of disc {number}", size, group="inertia"))
-                for name, size in (
-                    ("J_t", self.small.inertia if disc.transverse_inertia else 0.0),
-                    ("J_p", self.small.inertia if disc.polar_inertia else 0.0),
+                (
+                    *mass,
+                    *self.unknown(f"{name} of disc {number}", self.small.inertia * bool(j), group="inertia"),
                 )
+                for name, j in (("J_t", disc.transverse_inertia), ("J_p", disc.polar_inertia))
             )
             self.add("mass", (y, z), disc.mass * np.eye(2), mass)
             self.add("mass", (about_y, about_z), disc.transverse_inertia * np.eye(2), transverse)
@@ -503,14 +504,8 @@ class _Builder:
                 if amount:
                     entry[row, column] = -1.0 if turning and row else 1.0
                 block = spread * np.tile(entry, (len(dofs) // 2,) * 2)
-                self.add(
-                    matrix,
-                    dofs,
-                    partial(_turning, block) if turning else block,
-                    factors,
-                    support=True,
-                    **amount,
-                )
+                acting = partial(_turning, block) if turning else block
+                self.add(matrix, dofs, acting, factors, support=True, **amount)
 
     def _with_running(
         self, name: str, error: float, value: float, unit: str, linear: bool
@@ -542,23 +537,15 @@ class _Builder:
 
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
         """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
-        inputs, scales = [], []
-        for entry in place.uncertainties:
-            name = entry.uncertainty.source.replace(": ", " ")
-            inputs.append(self._source(name, entry.uncertainty, entry.value))
-            unknown = self.unknowns[inputs[-1]]
-            scales.append((unknown.mean, unknown.error))
-        theory = Theory(place, self.system.rig.static_loads()[place.name], np.array(scales).reshape(-1, 2))
+        inputs = tuple(
+            self._source(entry.uncertainty.source.replace(": ", " "), entry.uncertainty, entry.value)
+            for entry in place.uncertainties
+        )
+        scales = np.array([(self.unknowns[n].mean, self.unknowns[n].error) for n in inputs]).reshape(-1, 2)
+        theory = Theory(place, self.system.rig.static_loads()[place.name], scales)
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
-            self.add(
-                matrix,
-                dofs,
-                partial(theory.block, matrix, spread),
-                self._running(f"{place.name} {letter}"),
-                support=True,
-                inputs=tuple(inputs),
-                follows=theory.follows,
-            )
+            block, running = partial(theory.block, matrix, spread), self._running(f"{place.name} {letter}")
+            self.add(matrix, dofs, block, running, support=True, inputs=inputs, follows=theory.follows)
 
 
 def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:

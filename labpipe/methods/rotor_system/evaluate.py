@@ -73,13 +73,12 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
         except FitError as error:
             error.hint = "; ".join(finding.message for finding in out_of_place) or error.hint
             raise
-        kinds = {test.name: test.kind for test in settings.tests}
         speeds = np.linspace(*settings.band, SPEEDS)
-        result = _result(system, built, posterior, speeds, kinds, settings.draws, settings.seed)
+        result = _result(system, built, posterior, speeds, settings.draws, settings.seed)
         measured = (
             (test.speed, float(frequency))
             for test in settings.tests
-            if test.kind == RESPONSE and not test.free and (test.fit or test.frequencies)
+            if test.kind == RESPONSE and not test.free and test.has_modes
             for frequency in _modes(test, work).frequency
         )
         return replace(
@@ -177,7 +176,7 @@ def _evidence(
         return _responses(test, reading, built, system)
     if reading is not None:
         return _vectors(test, reading, built, system)
-    return _modes(test, work) if test.fit or test.frequencies else _deflections(test, system)
+    return _modes(test, work) if test.has_modes else _deflections(test, system)
 
 
 def _deflections(test: SystemTest, system: build.RotorSystem) -> evidence.Deflections:
@@ -285,7 +284,7 @@ def _responses(
 
 
 def _interlacing(settings: RotorSystemSettings, system: build.RotorSystem, work: Work) -> Iterator[Finding]:
-    with_modes = [test for test in settings.tests if test.fit or test.frequencies]
+    with_modes = [test for test in settings.tests if test.has_modes]
     free = [test for test in with_modes if test.kind != RESPONSE or test.free]
     coupled = any(
         np.any((np.abs(b.stiffness) + b.stiffness_error)[[0, 1], [1, 0]]) for b in system.linear.values()
@@ -300,9 +299,8 @@ def _interlacing(settings: RotorSystemSettings, system: build.RotorSystem, work:
             modes = _modes(hung, work), _modes(test, work)
             for place, number, below in evidence.out_of_order(*modes, planes, bearings, pedestals):
                 rotor, stands = (m.frequency[n - 1] for m, n in zip(modes, (number, place), strict=True))
-                side, what = (
-                    ("below", "springs") if below else ("above", f"{bearings} springs, no mode missed,")
-                )
+                side = "below" if below else "above"
+                what = "springs" if below else f"{bearings} springs, no mode missed,"
                 yield Finding(
                     "interlacing",
                     f"test '{test.name}': mode {place} at {stands:.4g} Hz lies {side} bending mode {number} "
@@ -315,23 +313,20 @@ def _check_places(test: SystemTest, names: Sequence[str]) -> None:
     """ConfigError for an entry of `places` that is of no dof or plane."""
     for name in test.read_places:
         if name not in names:
-            raise ConfigError(
-                f"test '{test.name}': places: no dof or plane '{name}'", hint=nearest(name, names)
-            )
+            what = f"test '{test.name}': places: no dof or plane '{name}'"
+            raise ConfigError(what, hint=nearest(name, names))
 
 
 def _place(test: SystemTest, *names: str) -> tuple[int, str]:
     """Where a dof or plane is: as `places` says, else as its name does ("3y", "node 3")."""
-    places = test.read_places
+    places, directed = test.read_places, test.kind == RESPONSE
     for name in names:
         if name in places:
             return places[name]
-    directed = test.kind == RESPONSE
     for name in names:
         with suppress(UnitError):
             return place_of(name if directed else name.removeprefix("node"), directed)
-    example = "3 y" if directed else "3"
-    hint = f"places: {{{names[0]}: {example}}}"
+    hint = f"places: {{{names[0]}: {'3 y' if directed else '3'}}}"
     raise ConfigError(f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=hint)
 
 
@@ -355,10 +350,8 @@ def _vectors(
     )
     for dof, _ in added:
         if dof not in [first for first, _, _ in built.planes.values()]:
-            raise ConfigError(
-                f"test '{test.name}': an unbalance was added at node {dof // 4 + 1}, "
-                "where the rotor file has none"
-            )
+            what = f"an unbalance was added at node {dof // 4 + 1}, where the rotor file has none"
+            raise ConfigError(f"test '{test.name}': {what}")
     return evidence.RunUpVectors(
         test.name,
         run.speed,
@@ -373,16 +366,13 @@ def _vectors(
     )
 
 
-def declared_result(
-    system: build.RotorSystem, band: tuple[float, float], steps: int
-) -> records.RotorSystemResult:
-    """What a rotor file says before anything is measured, over *steps* speeds of a band [Hz]: intervals by
-    what it declares.
+def declared_result(system: build.RotorSystem, speeds: FloatArray) -> records.RotorSystemResult:
+    """What a rotor file says before anything is measured, over *speeds* (n_speed,) [Hz]: intervals by what it
+    declares.
     """
     built = build.build(system, build.SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
-    speeds = np.linspace(*band, steps)
-    return _result(system, built, posterior, speeds, {}, predictions.DRAWS // 2, 1)
+    return _result(system, built, posterior, speeds, predictions.DRAWS // 2, 1)
 
 
 def _unbalanced(posterior: SystemPosterior, built: build.Built) -> SystemPosterior:
@@ -399,7 +389,6 @@ def _result(
     built: build.Built,
     posterior: SystemPosterior,
     speeds: FloatArray,
-    kinds: Mapping[str, str],
     n_draw: int,
     seed: int,
 ) -> records.RotorSystemResult:
@@ -407,7 +396,7 @@ def _result(
     low, high = band = float(speeds[0]), float(speeds[-1])
     operating = rig.speed if rig.speed > 0 else high
     diagram = predictions.campbell(posterior, np.union1d(speeds, [operating]))
-    pulled, chi2 = pulls(posterior), posterior.chi2
+    pulled = pulls(posterior)
     least, error, gradient = predictions.least_decrement(posterior, operating)
     short = LEAST_DECREMENT - least
     above = float(normal_tail(short / error)) if error else float(short < 0)
@@ -422,15 +411,8 @@ def _result(
         operating,
         unknowns=tuple(_unknowns(posterior, pulled)),
         tests=tuple(
-            records.TestResult(
-                pull.test,
-                kinds[pull.test],
-                *chi2[pull.test],
-                chi2_tail(*chi2[pull.test]),
-                pull.unknown,
-                pull.z,
-            )
-            for pull in pulled
+            records.TestResult(test.name, test.kind, *chi2, chi2_tail(*chi2), pull.unknown, pull.z)
+            for test, pull, chi2 in zip(posterior.tests, pulled, posterior.chi2.values(), strict=True)
         ),
         small_errors=tuple(
             records.SmallErrorResult(group, built.model.groups[group], size)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy import linalg
@@ -21,7 +21,9 @@ FEW_LINES = 48
 
 
 class SystemEvidence(Evidence[SystemModel], Protocol):
-    """A test of a rotor with all that carries it: its *name*, and its residual."""
+    """A test of a rotor with all that carries it: its *kind* and *name*, and its residual."""
+
+    kind: ClassVar[str]
 
     @property
     def name(self) -> str: ...
@@ -39,6 +41,7 @@ class FreeModes:
     standard *frequency_error*, and the same of their damping ratios, NaN where one is not known.
     """
 
+    kind: ClassVar[str] = "modes"
     name: str
     numbers: IntArray
     frequency: FloatArray
@@ -128,6 +131,7 @@ class Responses:
     one in common, which the *error* allows for.
     """
 
+    kind: ClassVar[str] = "response"
     name: str
     omega: FloatArray
     outputs: tuple[int, ...]
@@ -192,6 +196,7 @@ class RunUpVectors:
     n_speed): of one real component of each probe, slow roll that was subtracted in it.
     """
 
+    kind: ClassVar[str] = "run-up"
     name: str
     speed: FloatArray
     outputs: tuple[int, ...]
@@ -297,6 +302,7 @@ class Deflections:
     where it was weighed ln *mass* [kg] of the rotor with its error; NaN where nothing was measured.
     """
 
+    kind: ClassVar[str] = "static"
     name: str
     outputs: tuple[int, ...]
     inputs: tuple[int, ...]

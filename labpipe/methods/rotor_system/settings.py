@@ -124,6 +124,11 @@ class SystemTest(Settings):
             raise SettingError("damping", "'damping' has as many values as 'frequencies'")
 
     @property
+    def has_modes(self) -> bool:
+        """Whether natural frequencies stand in it."""
+        return bool(self.fit or self.frequencies)
+
+    @property
     def read_places(self) -> dict[str, tuple[int, str]]:
         return {name: place_of(text, self.kind == RESPONSE) for name, text in self.places}
 

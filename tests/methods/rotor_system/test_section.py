@@ -353,7 +353,7 @@ def test_a_decrement_that_is_known_is_above_its_limit_or_is_not() -> None:
         damped = replace(of, rig=replace(of.rig, rotor=replace(of.rig.rotor, alpha=alpha)))
         built = build(damped, SmallErrors(0, 0, 0, 0, 0, 0), {"t": Sensors(("a",), 0.01)})
         posterior = fit_system(built.model, [], estimate_sizes=False)
-        found = _result(damped, built, posterior, np.array([40.0, 41.0]), {}, 20, 1)
+        found = _result(damped, built, posterior, np.array([40.0, 41.0]), 20, 1)
         assert found.decrement[1:] == (0.0, probability) and (found.decrement[0] > 0.1) == bool(probability)
 
 
@@ -363,7 +363,7 @@ def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:
     posterior = fit_system(built.model, [], estimate_sizes=False)
     for speed in (0.0, 100.0):
         rig = replace(of.rig, speed=speed)
-        found = _result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), {}, 2, 1)
+        found = _result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), 2, 1)
         assert all((critical.margin is None) == (not speed) for critical in found.criticals)
     assert found.criticals
 
