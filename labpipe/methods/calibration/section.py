@@ -30,9 +30,7 @@ ROUNDING = 1e-13
 @dataclass(frozen=True)
 class Line:
     """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the
-    origin), residual (n_point,).
-
-    Units: slope [y unit / x unit], intercept and residual [y unit].
+    origin), residual (n_point,). Units: slope [y unit / x unit], intercept and residual [y unit].
     """
 
     values: FloatArray
@@ -48,10 +46,9 @@ class Line:
 
 
 def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
-    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual.
-
-    R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters +
-    1, or when x does not vary. Equation (spec-line).
+    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual. R^2
+    about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1,
+    or when x does not vary. Equation (spec-line).
     """
     columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
     n_parameter = columns.shape[1]

@@ -326,9 +326,8 @@ def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
 
 
 def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float, float]:
-    """(bore, length) [m] as the bearing's entries have them.
-
-    Of a kind without such entries the *shaft*'s diameter [m], and half of it.
+    """(bore, length) [m] as the bearing's entries have them. Of a kind without such entries the *shaft*'s
+    diameter [m], and half of it.
     """
     entries = bearing.get("settings", bearing)
     return entries.get("diameter") or shaft, entries.get("length") or shaft / 2
@@ -349,10 +348,9 @@ def shaft_diameter(rotor: Mapping[str, Any], node: int) -> float:
 
 
 def disc_dimensions(disc: Mapping[str, Any], bore: float) -> tuple[float, float, float]:
-    """(bore, outer diameter, length) [m] of the hollow cylinder with a disc's mass and inertia.
-
-    From I_p = m/8 (D^2 + d^2) and I_t = I_p/2 + m l^2/12; a disc of less inertia is drawn a little larger
-    than its bore, to be seen.
+    """(bore, outer diameter, length) [m] of the hollow cylinder with a disc's mass and inertia. From I_p =
+    m/8 (D^2 + d^2) and I_t = I_p/2 + m l^2/12; a disc of less inertia is drawn a little larger than its bore,
+    to be seen.
     """
     outer = np.sqrt(max(8 * disc["polar_inertia"] / disc["mass"] - bore**2, 0.0))
     length = np.sqrt(max(12 * (disc["transverse_inertia"] - disc["polar_inertia"] / 2) / disc["mass"], 0.0))

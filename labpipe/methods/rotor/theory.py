@@ -41,9 +41,8 @@ LEAST_AMPLIFICATION = 2.5
 
 
 def margin_below(amplification: float) -> float:
-    """Separation [%] that a critical speed below the lowest operating speed must have (API 617, 684).
-
-    17 (1 - 1 / (AF - 1.5)), at most 16; 0 for AF below 2.5.
+    """Separation [%] that a critical speed below the lowest operating speed must have (API 617, 684). 17 (1 -
+    1 / (AF - 1.5)), at most 16; 0 for AF below 2.5.
     """
     return 0.0 if amplification < LEAST_AMPLIFICATION else min(16.0, 17 * (1 - 1 / (amplification - 1.5)))
 
@@ -202,9 +201,8 @@ def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]])
 def follow(each: Sequence[response.Modes]) -> FloatArray:
     """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is not
     there. A mode that begins to oscillate within the speeds, as oil whirl may, has a column as well.
-
-    Neighbouring speeds are paired by the assurance criterion of their shapes times
-    exp(-(d ln |lambda| / .15)^2 / 2), all pairs together (linear assignment).
+    Neighbouring speeds are paired by the assurance criterion of their shapes times exp(-(d ln |lambda| /
+    .15)^2 / 2), all pairs together (linear assignment).
     """
     n_mode = min(MOST_MODES, each[0].eigenvalues.size)
     order = np.full((len(each), n_mode), -1)

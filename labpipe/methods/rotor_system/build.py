@@ -34,11 +34,9 @@ MOST_KEPT = 64
 @dataclass(frozen=True)
 class Theory:
     """A bearing under its static *load* (y, z) [N]; *scales* (n_input, 2): mean and standard uncertainty
-    [unit of each] in which the values of its uncertain inputs come.
-
-    An oil film with clearance and viscosity alone is its curve over the Sommerfeld number at any values. Any
-    other bearing is c(x) = c(0) + sum x (c(1) - c(-1)) / 2 + x^2 (c(1) - 2 c(0) + c(-1)) / 2 of its inputs x
-    in standard uncertainties.
+    [unit of each] in which the values of its uncertain inputs come. An oil film with clearance and viscosity
+    alone is its curve over the Sommerfeld number at any values. Any other bearing is c(x) = c(0) + sum x
+    (c(1) - c(-1)) / 2 + x^2 (c(1) - 2 c(0) + c(-1)) / 2 of its inputs x in standard uncertainties.
     """
 
     place: BearingPlace
