@@ -49,9 +49,7 @@ def margin_below(amplification: float) -> float:
 
 def margin_above(amplification: float) -> float:
     """The same of one above the highest operating speed: 10 + 17 (1 - 1 / (AF - 1.5)), at most 26."""
-    return (
-        0.0 if amplification < LEAST_AMPLIFICATION else min(26.0, 10 + 17 * (1 - 1 / (amplification - 1.5)))
-    )
+    return 0.0 if amplification < LEAST_AMPLIFICATION else 10 + margin_below(amplification)
 
 
 KEPT, BROKEN, UNDECIDED = "kept", "broken", "undecided"
@@ -148,15 +146,11 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
     crossings = []
-    for mode in range(frequency.shape[1]):
-        excess = frequency[:, mode] - speeds
+    for of_mode in zip(frequency.T, decrement.T, whirl.T, strict=True):
+        excess, rows = of_mode[0] - speeds, np.array([speeds, *of_mode[1:]])
         for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
             share = excess[n] / (excess[n] - excess[n + 1])
-            mixed = [
-                (1 - share) * row[n] + share * row[n + 1]
-                for row in (speeds, decrement[:, mode], whirl[:, mode])
-            ]
-            crossings.append((float(mixed[0]), float(mixed[1]), float(mixed[2])))
+            crossings.append(tuple(((1 - share) * rows[:, n] + share * rows[:, n + 1]).tolist()))
     # An integrating bearing has no coefficients at rest.
     own = rig.supports() if rig.speed else supports[0]
     lowest = response.modes(rig.rotor, own, rig.omega).eigenvalues[:MOST_MODES]
@@ -283,8 +277,8 @@ def peaks(
             criticals += found or [Critical(float(speed[n]), float(amplitude[n]), node)]
             continue
         top, height = float(least.x), float(least.fun) ** -0.5
-        below = np.flatnonzero(amplitude[:n] < HALF_POWER * height)
-        above = np.flatnonzero(amplitude[n:] < HALF_POWER * height)
+        beyond = amplitude < HALF_POWER * height
+        below, above = np.flatnonzero(beyond[:n]), np.flatnonzero(beyond[n:])
         low = high = None
         crossing = scipy.interpolate.CubicSpline(speed, amplitude**-2.0 - 2 * float(least.fun))
         if below.size:
