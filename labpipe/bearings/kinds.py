@@ -119,9 +119,8 @@ class Bearing(Protocol):
     """A bearing on a rotor, whose load and speed follow from the rotor."""
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
-        """Lateral coefficients (2, 2) in y and z [N/m, N.s/m] with their findings.
-
-        LabpipeError where there is no equilibrium.
+        """Lateral coefficients (2, 2) in y and z [N/m, N.s/m] with their findings. LabpipeError where there
+        is no equilibrium.
         """
         ...
 
@@ -227,10 +226,8 @@ def bearing_uncertainties(
     sources: Sequence[Uncertainty], ends: Sequence[tuple[BearingCoefficients, BearingCoefficients]]
 ) -> BearingUncertainties:
     """Half the difference of the coefficients with every number one standard uncertainty above and below its
-    value (GUM 5.1.3, note 2).
-
-    *ends*: those two for each of *sources*; numbers of one source change together, so that their changes add
-    up with their signs. Equation (unc-bearing).
+    value (GUM 5.1.3, note 2). *ends*: those two for each of *sources*; numbers of one source change together,
+    so that their changes add up with their signs. Equation (unc-bearing).
     """
     names = list(dict.fromkeys(source.source for source in sources))
     first = {source.source: source for source in reversed(sources)}

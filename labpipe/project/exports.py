@@ -32,9 +32,9 @@ from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.raw_files.mat import write_frf_mat, write_recording_mat
 from labpipe.raw_files.uff_write import write_frf_uff, write_recording_uff, write_shapes_uff
 from labpipe.records.comparison import Study
-from labpipe.records.finding import WARNING, Parameter, of_level
+from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, RobustPlant
-from labpipe.records.identification import Fit, Identification, RuleOutcome
+from labpipe.records.identification import Fit, Identification, RuleOutcome, listed_parameters
 from labpipe.registry import Registry
 from labpipe.uncertainty.amounts import random_error
 
@@ -199,23 +199,22 @@ def spectra_table(artefact: Path) -> pd.DataFrame:
 
 
 def parameter_table(artefact: Path) -> pd.DataFrame:
-    """One row per fit and parameter."""
+    """One row per parameter of a fit or another section."""
     rows = [
         {
-            "fit": fit.name,
-            "test": fit.test,
-            "term": fit.term,
-            "centre_hz": fit.centre_hz,
-            "parameter": parameter.name,
-            "value": parameter.value,
-            "unit": parameter.unit,
-            "std_error": parameter.full_error,
-            "ci95_low": parameter.ci95[0] if parameter.ci95 else None,
-            "ci95_high": parameter.ci95[1] if parameter.ci95 else None,
-            "warnings": " ".join(finding.code for finding in of_level(WARNING, fit.findings)),
+            "fit": listed.fit,
+            "test": listed.test,
+            "term": listed.term,
+            "centre_hz": sum(listed.band_hz) / 2,
+            "parameter": listed.parameter.name,
+            "value": listed.parameter.value,
+            "unit": listed.parameter.unit,
+            "std_error": listed.parameter.full_error,
+            "ci95_low": listed.parameter.ci95[0] if listed.parameter.ci95 else None,
+            "ci95_high": listed.parameter.ci95[1] if listed.parameter.ci95 else None,
+            "warnings": " ".join(listed.warnings),
         }
-        for fit in read_identification(artefact).fits
-        for parameter in fit.parameters
+        for listed in listed_parameters(read_identification(artefact))
     ]
     return pd.DataFrame(rows)
 

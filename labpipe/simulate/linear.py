@@ -32,9 +32,7 @@ def dynamic_stiffness(
     mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, omega: FloatArray
 ) -> ComplexArray:
     """Z = K + j w C - w^2 M at *omega* (n_line,) [rad/s]: of numbers (n_line,), of matrices (n_line, n_dof,
-    n_dof) [N/m].
-
-    Equation (sim-one-dof).
+    n_dof) [N/m]. Equation (sim-one-dof).
     """
     k, c, m = (np.asarray(part, float) for part in (stiffness, damping, mass))
     w = np.reshape(omega, (-1, *[1] * k.ndim))
@@ -45,7 +43,6 @@ def receptance(
     mass: ArrayLike, stiffness: ArrayLike, damping: ArrayLike, frequency: FloatArray
 ) -> ComplexArray:
     """H = (K + j w C - w^2 M)^-1 at *frequency* (n_line,) [Hz], of the shape of `dynamic_stiffness` [m/N].
-
     ConfigError where Z has no inverse. Equation (sim-mdof).
     """
     z = dynamic_stiffness(mass, stiffness, damping, 2 * np.pi * frequency)
@@ -83,9 +80,7 @@ def lines_of(n_sample: int, sample_rate: float, settling: float = 0.0) -> tuple[
 
 def response(transfer: ComplexArray, force: FloatArray, length: int) -> FloatArray:
     """DFT^-1 [H DFT F], (n_sample,): the response to *force* (n_sample,) [N], *transfer* (n_line,) [unit per
-    N] on the lines of `lines_of`.
-
-    Equation (sim-sweep).
+    N] on the lines of `lines_of`. Equation (sim-sweep).
     """
     return np.asarray(fft.irfft(fft.rfft(force, length) * transfer, length)[: force.size])
 
@@ -102,11 +97,7 @@ def line_amplitude(force: Multisine) -> float:
 
 def steady_state(force: Multisine, transfer: ComplexArray, n_sample: int, periods: int) -> FloatArray:
     """Response (n_sample periods,) [unit of the response] to the multisine, exact line by line: X_k = H(w_k)
-    F_k.
-
-    *transfer* (n_line,) [unit of the response per N], *n_sample* of a period.
-
-    Equation (sim-steady).
+    F_k. *transfer* (n_line,) [unit of the response per N], *n_sample* of a period. Equation (sim-steady).
     """
     spectrum = np.zeros(n_sample // 2 + 1, np.complex128)
     spectrum[force.lines] = transfer * line_amplitude(force) * np.exp(1j * force.phases) * (n_sample / 2)
@@ -117,7 +108,6 @@ def free_decay(
     displacement: FloatArray, sample_rate: float, frequency: float, damping_ratio: float
 ) -> FloatArray:
     """The transient that makes the motion start at rest: -x(0) e^{-zeta w t} cos(w t), (n_sample,) [m].
-
     Equation (sim-transient).
     """
     t = np.arange(displacement.size) / sample_rate
@@ -181,7 +171,6 @@ class OneMass(Settings):
 
     def from_rest(self, n_sample: int) -> tuple[int, FloatArray]:
         """`lines_of` a run, (n_line,) [Hz], that is followed until only DIED_OUT is left of what was moving.
-
         For -2 m / c ln DIED_OUT.
         """
         return lines_of(n_sample, self.sample_rate, float(-np.log(DIED_OUT) * 2 * self.mass / self.damping))
@@ -252,9 +241,7 @@ BASE_RUNS = ("absolute", "relative", "sweep")
 
 def relative_transmissibility(rig: BaseRig, frequency: FloatArray) -> ComplexArray:
     """w^2 m / Z [1] at *frequency* (n,) [Hz], (n,): motion relative to the table over the table's; the
-    absolute one is 1 more.
-
-    Equation (sim-base).
+    absolute one is 1 more. Equation (sim-base).
     """
     w = 2 * np.pi * frequency
     return w**2 * rig.mass / dynamic_stiffness(rig.mass, rig.stiffness, rig.damping, w)
@@ -319,9 +306,8 @@ class SensorNoise(StandardDeviations):
 
 @dataclass(frozen=True)
 class WhiteNoiseRig(Settings):
-    """m q'' + C q' + K q = f of the rotor's centre (x, y), with an unbalance that turns from x to y.
-
-    Force, sampling and blocks are those of Mendes et al.; bending near 82 Hz as on their rig, unbalance as on
+    """m q'' + C q' + K q = f of the rotor's centre (x, y), with an unbalance that turns from x to y. Force,
+    sampling and blocks are those of Mendes et al.; bending near 82 Hz as on their rig, unbalance as on
     Machado's.
     """
 
@@ -469,9 +455,7 @@ class VirtualMdofRig(Settings):
 
 def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> FrequencyResponse:
     """The FRF with circular white noise of known variance; without noise for no *rng*, its variance stated
-    all the same.
-
-    Equation (sim-mdof-noise).
+    all the same. Equation (sim-mdof-noise).
     """
     matrix = rig.receptance
     std = rig.noise * float(np.max(np.abs(matrix)))

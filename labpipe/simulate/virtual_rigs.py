@@ -27,7 +27,6 @@ from labpipe.spectra.settings import FrfSettings
 
 def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, float]:
     """Mass [kg], k [N/m], c [N.s/m], f_n = sqrt(k / m) / 2 pi [Hz], zeta = c / (2 sqrt(k m)) [1] by name.
-
     Equation (sim-one-mass).
     """
     natural = math.sqrt(stiffness / mass)
@@ -36,9 +35,8 @@ def one_mass_truth(mass: float, stiffness: float, damping: float) -> dict[str, f
 
 
 def coefficients_by_name(labels: Sequence[str], glue: str = "", **matrices: ArrayLike) -> dict[str, float]:
-    """Entries of the matrices (n, n) by name: k_xx, k_xy, ... of k and the labels x, y.
-
-    *glue* between two labels.
+    """Entries of the matrices (n, n) by name: k_xx, k_xy, ... of k and the labels x, y. *glue* between two
+    labels.
     """
     return {
         f"{letter}_{labels[row]}{glue}{labels[column]}": float(value)
@@ -166,9 +164,8 @@ def kind_of_tests(
     logged: Callable[[Recording], LoggedTable],
     **others: Any,
 ) -> VirtualRigKind:
-    """A kind whose runs each have their truth, recordings as well as calibration tables.
-
-    *others* as of VirtualRigKind.
+    """A kind whose runs each have their truth, recordings as well as calibration tables. *others* as of
+    VirtualRigKind.
     """
 
     def recordings_of(rig: Any, seed: int, names: Sequence[str]) -> list[Recording]:
@@ -194,9 +191,8 @@ def kind_of(rig: VirtualRig) -> VirtualRigKind:
 
 
 def simulate(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) -> Simulation:
-    """Files and truth of the named runs, of all without names.
-
-    ConfigError with the nearest known name on a miss.
+    """Files and truth of the named runs, of all without names. ConfigError with the nearest known name on a
+    miss.
     """
     return kind_of(rig).simulate(rig, seed, chosen_runs(rig, runs))
 
@@ -213,9 +209,7 @@ def simulated_response(
     rig: VirtualRig, seeds: Sequence[int], runs: Iterable[str] | None = None, frf: FrfSettings | None = None
 ) -> FrequencyResponse | ChannelSpectra:
     """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf*
-    says; or spectra.
-
-    ConfigError for a rig that has none.
+    says; or spectra. ConfigError for a rig that has none.
     """
     kind = kind_of(rig)
     if kind.response is not None:
@@ -286,10 +280,8 @@ def whole_numbers(
     steps: Mapping[str, int] | None = None,
 ) -> LoggedTable:
     """Columns such as "x [nm]", "ix [mA]", "ux [mV]" as whole numbers; injected voltages are small, so in uV.
-    *units* as WHOLE has them.
-
-    *steps*: by channel, the step of the logger in the recorded unit; coarse steps pack best by a dictionary
-    of their values.
+    *units* as WHOLE has them. *steps*: by channel, the step of the logger in the recorded unit; coarse steps
+    pack best by a dictionary of their values.
     """
     columns = {}
     chosen = {**WHOLE, **(units or {})}

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.distributions import student_tail
+from labpipe.distributions import f_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError, SettingError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.statistics import condition_number, correlation, estimated
-from labpipe.project.work import Work
 from labpipe.quantities import Unit, UnitError, may_agree, parse_unit
 from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
@@ -24,14 +23,14 @@ from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, quantity, setting
 
 CURVATURE_P = 0.01
+# Residuals below this part of the points are rounding.
+ROUNDING = 1e-13
 
 
 @dataclass(frozen=True)
 class Line:
     """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the
-    origin), residual (n_point,).
-
-    Units: slope [y unit / x unit], intercept and residual [y unit].
+    origin), residual (n_point,). Units: slope [y unit / x unit], intercept and residual [y unit].
     """
 
     values: FloatArray
@@ -47,18 +46,15 @@ class Line:
 
 
 def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
-    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual.
-
-    R^2 about the mean, or about zero through the origin. Raises FitError with fewer points than parameters +
-    1, or when x does not vary. Equation (spec-line).
+    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual. R^2
+    about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1,
+    or when x does not vary. Equation (spec-line).
     """
     columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
     n_parameter = columns.shape[1]
     if x.size <= n_parameter:
-        raise FitError(
-            f"{x.size} points cannot determine a line with its uncertainty",
-            hint=f"at least {n_parameter + 1} are needed",
-        )
+        what = f"{x.size} points cannot determine a line with its uncertainty"
+        raise FitError(what, hint=f"at least {n_parameter + 1} are needed")
     if not np.ptp(x) > 0:
         raise FitError("all points have the same x")
     values, inverse = solve_scaled(columns, y)
@@ -66,28 +62,24 @@ def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> L
     dof = x.size - n_parameter
     total = float(np.sum(y**2) if through_origin else np.sum((y - y.mean()) ** 2))
     r2 = 1 - float(residual @ residual) / total if total > 0 else 0.0
-    scaled = columns / np.linalg.norm(columns, axis=0)
-    return Line(
-        values, inverse * float(residual @ residual) / dof, residual, r2, dof, condition_number(scaled)
-    )
+    covariance = inverse * float(residual @ residual) / dof
+    condition = condition_number(columns / np.linalg.norm(columns, axis=0))
+    return Line(values, covariance, residual, r2, dof, condition)
 
 
-def curvature_p(x: FloatArray, y: FloatArray) -> float | None:
-    """p-value [1] of a quadratic term beside the line (t-test) for points x, y (n_point,); None with too few
-    points.
-
-    Equation (spec-curvature).
+def curvature_p(x: FloatArray, y: FloatArray, residual: FloatArray, n_more: int) -> float | None:
+    """p-value [1] of the *residual* of a line through points x, y, all (n_point,), against that of a parabola
+    with *n_more* terms (F-test); None with too few points, or values of x. Equation (spec-curvature).
     """
-    if x.size < 5:
+    if x.size < 5 or np.unique(x).size < 3:
         return None
     centred = (x - x.mean()) / np.ptp(x)
     columns = np.column_stack([centred**2, centred, np.ones_like(x)])
-    values, inverse = solve_scaled(columns, y)
-    residual = y - columns @ values
-    variance = float(residual @ residual) / (x.size - 3)
-    if variance == 0:
+    bent = y - columns @ solve_scaled(columns, y)[0]
+    least, dof = float(bent @ bent), x.size - 3
+    if least <= (ROUNDING * float(np.linalg.norm(y))) ** 2:
         return None
-    return 2 * student_tail(abs(values[0]) / np.sqrt(variance * inverse[0, 0]), x.size - 3)
+    return f_tail(max(float(residual @ residual) / least - 1, 0.0) * dof / n_more, n_more, dof)
 
 
 def linear_range(positions: FloatArray, slopes: FloatArray, tolerance: float) -> float:
@@ -126,16 +118,15 @@ def line_fit(name: str, test: str, line: Line, units: tuple[str, str], x: FloatA
     """A line through x, y (n_point,) as a Fit: slope and intercept [*units*], a warning for curved points."""
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
-    parameters = tuple(
-        estimated(parameter, unit, float(value), float(error), line.dof, None)
-        for parameter, unit, value, error in zip(names, units, line.values, std_errors, strict=False)
-    )
-    n, p_value = x.size, curvature_p(x, y)
+    columns = zip(names, units, line.values.tolist(), std_errors.tolist(), strict=False)
+    parameters = tuple(estimated(*column, line.dof, None) for column in columns)
+    n, p_value = x.size, curvature_p(x, y, line.residual, 3 - line.values.size)
     findings: tuple[Finding, ...] = ()
     if p_value is not None and p_value < CURVATURE_P:
         share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
-        bent = f"the points bend (p = {p_value:.2g} for a straight line)"
-        what = f"{bent}; the largest deviation is {share:.2g} % of the range"
+        bent, through = ("bend", "") if line.values.size == 2 else ("bend, or miss zero", " through zero")
+        what = f"the points {bent} (p = {p_value:.2g} for a straight line{through})"
+        what += f"; the largest deviation is {share:.2g} % of the range"
         findings = (Finding("model-mismatch", what),)
     return Fit(
         name=name,
@@ -182,13 +173,6 @@ class CalibrationSettings(Settings):
 
 # Values (n_row,) [SI] of a column and their unit.
 Column = tuple[FloatArray, str]
-
-
-def run_calibrations(
-    settings: Iterable[CalibrationSettings],
-    work: Work,  # noqa: ARG001 (one signature for all sections)
-) -> list[Fit]:
-    return calibrate(settings)
 
 
 def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:
@@ -279,9 +263,8 @@ def si_name(unit: Unit) -> str:
     for name in _SI_NAMES:
         if parse_unit(name).dimension == unit.dimension:
             return name
-    raise ConfigError(
-        "a calibration column has an unusual unit", hint=f"known dimensions: {', '.join(_SI_NAMES)}"
-    )
+    hint = f"known dimensions: {', '.join(_SI_NAMES)}"
+    raise ConfigError("a calibration column has an unusual unit", hint=hint)
 
 
 CALIBRATE = PipelineSection(
@@ -289,6 +272,6 @@ CALIBRATE = PipelineSection(
     settings=CalibrationSettings,
     named=True,
     standalone=True,
-    run=run_calibrations,
+    run=lambda settings, _work: calibrate(settings),
     fits=True,
 )

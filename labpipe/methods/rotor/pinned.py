@@ -50,9 +50,7 @@ class PinnedRotor:
 
 def pinned_rotor(rotor: Rotor, pins: tuple[int, ...]) -> PinnedRotor:
     """The rotor between pins; ConfigError for fewer than two, a pin on a node that does not exist, or a disc
-    on a pin.
-
-    Equation (rotor-pinned).
+    on a pin. Equation (rotor-pinned).
     """
     if len(set(pins)) < 2:
         raise ConfigError("a rotor needs pins at two different nodes")
@@ -100,9 +98,7 @@ class CondensedRotor:
 
     def journal(self, stiffness: FloatArray, damping: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Motion of the journal x_b (..., n_speed, 2) [m] and the compliance (D + K + j Omega C)^-1 (...,
-        n_speed, 2, 2) [m/N].
-
-        Equation (rotor-journal).
+        n_speed, 2, 2) [m/N]. Equation (rotor-journal).
         """
         compliance = inverse(self.at_bearing + stiffness + 1j * self.speed[:, None, None] * damping)
         return (compliance @ self.force[..., None])[..., 0], compliance
@@ -138,9 +134,8 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
 
 
 def unbalance_forces(rotor: PinnedRotor, unbalance: Mapping[int, complex], speed: FloatArray) -> ComplexArray:
-    """F_y = u Omega^2, F_z = -j u Omega^2, rotating from y to z, (n_speed, n_dof) [N].
-
-    *unbalance* [kg m] by node.
+    """F_y = u Omega^2, F_z = -j u Omega^2, rotating from y to z, (n_speed, n_dof) [N]. *unbalance* [kg m] by
+    node.
     """
     forces = np.zeros((np.size(speed), rotor.n_dof), np.complex128)
     for node, amount in unbalance.items():
@@ -220,7 +215,6 @@ class Stability:
 
     def system(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
         """System matrix A of y' = A y, y = (q, q'), (n_speed, 2 n_dof, 2 n_dof) [SI], with gyroscopic terms.
-
         *speed* (n_speed,) [rad/s], *stiffness* [N/m] and *damping* [N s/m] (n_speed, 2, 2) of the bearing.
         """
         n, first = self.rotor.n_dof, self.rotor.dofs(self.bearing)[0]
@@ -244,9 +238,8 @@ class Stability:
         return stiff, damped, turning
 
     def growth(self, speed: FloatArray, stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-        """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,).
-
-        Arguments as in `system`.
+        """Largest growth rate [1/s] of modes with motion of the journal, (n_speed,). Arguments as in
+        `system`.
         """
         eigen = np.linalg.eig(self.system(speed, stiffness, damping))
         moving = self.moving(np.asarray(eigen.eigenvectors, np.complex128))
@@ -284,9 +277,7 @@ def threshold_speed(
     stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]
 ) -> float | None:
     """Threshold speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
-    stable at all of them.
-
-    FitError for a rotor unstable at the first speed.
+    stable at all of them. FitError for a rotor unstable at the first speed.
     """
     places = np.asarray(list(speeds), np.float64)
 
@@ -300,10 +291,8 @@ def resonance_speed(
     stability: Stability, coefficients: CoefficientsAtSpeed, speeds: Iterable[float]
 ) -> float | None:
     """The first speed [rad/s] equal to the imaginary part of a damped mode with motion of the journal; None
-    when there is none.
-
-    The critical speed by eigenvalues: lightly damped modes only (damping ratio below one half), forward or
-    backward.
+    when there is none. The critical speed by eigenvalues: lightly damped modes only (damping ratio below one
+    half), forward or backward.
     """
     speed = np.asarray(list(speeds), np.float64)
     frequencies = [_damped_frequencies(stability, coefficients, value) for value in speed]

@@ -41,18 +41,15 @@ class Modes:
 
     @property
     def damping_ratio(self) -> FloatArray:
-        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode.
-
-        Equation (rotor-damping-ratio).
+        """zeta = -Re(lambda) / |lambda| [-], (n_mode,); negative for an unstable mode. Equation
+        (rotor-damping-ratio).
         """
         return -self.eigenvalues.real / np.abs(self.eigenvalues)
 
     @property
     def whirl(self) -> FloatArray:
         """Whirl direction over all nodes, (n_mode,) [-]: -1 circular backward, 0 straight line, +1 circular
-        forward.
-
-        Equation (rotor-whirl).
+        forward. Equation (rotor-whirl).
         """
         forward, backward = (np.sum(np.abs(self.shapes @ [1, turn]) ** 2, axis=1) for turn in (1j, -1j))
         return (forward - backward) / (forward + backward)
@@ -60,9 +57,7 @@ class Modes:
 
 def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, ComplexArray]:
     """All eigenvalues (2 n_dof,) [1/s] and displacement shapes (n_dof, 2 n_dof) of M q'' + (C + Omega G) q' +
-    K q = 0.
-
-    Equation (rotor-eigenvalues).
+    K q = 0. Equation (rotor-eigenvalues).
     """
     n = matrices.mass.shape[0]
     inverse = linalg.cho_factor(matrices.mass)
@@ -91,9 +86,7 @@ def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> floa
 
 def onset_speed(rotor: Rotor, supports: SupportsAtSpeed, speeds: Iterable[float]) -> float | None:
     """Onset speed of instability [rad/s], between the first pair of *speeds* around it; None for a rotor
-    stable at all of them.
-
-    FitError for a rotor unstable at the first speed.
+    stable at all of them. FitError for a rotor unstable at the first speed.
     """
 
     def excess(speed: float) -> float:
@@ -122,9 +115,7 @@ def first_onset(
 
 def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float | FloatArray) -> ComplexArray:
     """Z(w) = K - w^2 M + j w (C + Omega G), (n_line, n_dof, n_dof) [N/m]; *omega* (n_line,) and *speed* in
-    [rad/s].
-
-    Equation (rotor-dynamic-stiffness).
+    [rad/s]. Equation (rotor-dynamic-stiffness).
     """
     w = np.asarray(omega, np.float64)[:, None, None]
     spin = np.broadcast_to(speed, np.shape(omega))[:, None, None]
@@ -134,9 +125,7 @@ def dynamic_stiffness(matrices: RotorMatrices, omega: FloatArray, speed: float |
 
 def solve(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> ComplexArray:
     """Displacements (..., n_dof, n_force) [m] under *forces* [N], same shape; FitError at an undamped
-    resonance.
-
-    *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
+    resonance. *stiffness*: dynamic stiffness (..., n_dof, n_dof) [N/m].
     """
     try:
         return np.linalg.solve(stiffness, forces)
@@ -153,7 +142,6 @@ def unbalance_response(
     outputs: list[int],
 ) -> ComplexArray:
     """Displacements [m], 0-to-peak phasors, (n_speed, n_output), at spin *speed* (n_speed,) [rad/s].
-
     *unbalance* [kg m] by node, its angle from the y axis at time zero: F_y = u Omega^2, F_z = -j u Omega^2,
     so that the force rotates from y to z. The bearings do not change with speed. Equation (rotor-unbalance).
     """
@@ -167,9 +155,7 @@ def unbalance_response(
 
 def forward_backward_motion(displacements: ComplexArray) -> ComplexArray:
     """[f, b] = A^-1 [y, z] of phasors (..., 2) in y and z [m]: radii of the forward and the backward circle
-    of an orbit, 0-to-peak.
-
-    Equation (rotor-orbit).
+    of an orbit, 0-to-peak. Equation (rotor-orbit).
     """
     return displacements @ np.linalg.inv(FROM_DIRECTIONAL).T
 
@@ -199,7 +185,6 @@ class ReducedRotor:
 
     def on(self, supports: Iterable[Support]) -> ReducedRotor:
         """This rotor with bearings added at nodes of the reduced rotor; ConfigError for another node.
-
         Equation (rotor-woodbury).
         """
         supports = list(supports)
@@ -211,11 +196,9 @@ class ReducedRotor:
         self, supports: Sequence[Support], output: int, force: int
     ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """H_of (n_line, 2, 2), H_ob (n_line, 2, 2 n_bearing) and H_bf (n_line, 2 n_bearing, 2) [m/N] of this
-        rotor with bearings added.
-
-        From forces at the node *force* or at the bearings b to displacements at the node *output* or at the
-        bearings, in the order of *supports*: what a response and its derivatives by the bearings need,
-        without the rest.
+        rotor with bearings added. From forces at the node *force* or at the bearings b to displacements at
+        the node *output* or at the bearings, in the order of *supports*: what a response and its derivatives
+        by the bearings need, without the rest.
         """
         b, o, f = self._bearing_dofs(supports), self.dofs(output), self.dofs(force)
         n, rows, columns = (
@@ -267,11 +250,9 @@ def condensed_stiffness(
     matrices: RotorMatrices, omega: FloatArray, speed: float, kept: Sequence[int]
 ) -> ComplexArray:
     """Dynamic stiffness (n_line, 4 n_kept, 4 n_kept) [N/m] of nodes *kept* (from 0, rising) without forces on
-    the others.
-
-    *omega* (n_line,) and *speed* in [rad/s]. An element joins two neighbours, so that one node i after the
-    other is eliminated, Z_ab - Z_ai Z_ii^-1 Z_ib between its neighbours a, b: the cost is in proportion to
-    the number of nodes, not to its cube. Equation (rotor-eliminated).
+    the others. *omega* (n_line,) and *speed* in [rad/s]. An element joins two neighbours, so that one node i
+    after the other is eliminated, Z_ab - Z_ai Z_ii^-1 Z_ib between its neighbours a, b: the cost is in
+    proportion to the number of nodes, not to its cube. Equation (rotor-eliminated).
     """
     chain = list(range(matrices.mass.shape[0] // 4))
     pairs = [(row, column) for row in chain for column in chain[max(row - 1, 0) : row + 2]]

@@ -23,7 +23,6 @@ from labpipe.registry import nearest
 @dataclass(frozen=True)
 class UncertainBearing:
     """A bearing with one number a standard uncertainty *above* its *value* [its unit], and *below* it.
-
     *uncertainty* of the number, *key*: its entry.
     """
 
@@ -36,9 +35,8 @@ class UncertainBearing:
 
 @dataclass(frozen=True)
 class BearingPlace:
-    """A bearing on a node of the rotor; *kind*: that of its file.
-
-    *uncertainties* of the numbers in its entry.
+    """A bearing on a node of the rotor; *kind*: that of its file. *uncertainties* of the numbers in its
+    entry.
     """
 
     name: str
@@ -59,9 +57,8 @@ class BearingPlace:
         return isinstance(settings, LinearBearingSettings) and settings.k_cross is not None
 
     def with_film(self, method: str, changes: Mapping[str, float]) -> BearingPlace:
-        """The place with other numbers in its oil film, uncertain or not.
-
-        A number that is changed has no uncertainty any more.
+        """The place with other numbers in its oil film, uncertain or not. A number that is changed has no
+        uncertainty any more.
         """
 
         def changed(bearing: Bearing) -> JournalBearing:
@@ -76,9 +73,8 @@ class BearingPlace:
         return [entry for entry in self.uncertainties if entry.uncertainty.source == source]
 
     def film(self, method: str) -> JournalBearing:
-        """The journal bearing.
-
-        ConfigError that names the *method* which needs its oil film, where there is none.
+        """The journal bearing. ConfigError that names the *method* which needs its oil film, where there is
+        none.
         """
         if isinstance(self.bearing, JournalBearing):
             return self.bearing
@@ -100,9 +96,8 @@ class Unbalance:
 @dataclass(frozen=True)
 class RotorRig:
     """A rotor file: *speed* [Hz]; *loads*: static forces (node, in y, in z) [N] beside the weight; *force*,
-    *response*: nodes.
-
-    ConfigError where bearings, loads or unbalances sit on no node, or two bearings have one name or node.
+    *response*: nodes. ConfigError where bearings, loads or unbalances sit on no node, or two bearings have
+    one name or node.
     """
 
     name: str
@@ -136,9 +131,8 @@ class RotorRig:
         return 2 * np.pi * self.speed
 
     def place(self, name: str) -> BearingPlace:
-        """The bearing of that name; the last one without a name.
-
-        ConfigError with the nearest known name on a miss.
+        """The bearing of that name; the last one without a name. ConfigError with the nearest known name on a
+        miss.
         """
         if not name:
             return self.bearings[-1]
@@ -214,9 +208,7 @@ class RotorRig:
 
     def with_bearings(self, names: Iterable[str] = (), **changes: float) -> RotorRig:
         """The rig with *changes* (wear_depth, viscosity, ...) in the oil films of these *names*; in all,
-        where none is named.
-
-        ConfigError for a bearing without an oil film.
+        where none is named. ConfigError for a bearing without an oil film.
         """
         names = tuple(names) or tuple(place.name for place in self.bearings if place.is_film)
         chosen = [self.place(name) for name in names]
@@ -226,9 +218,8 @@ class RotorRig:
 
 
 def worn_place(rig: RotorRig, name: str) -> BearingPlace:
-    """The worn bearing by its name, the last one without a name.
-
-    ConfigError where there is none, or none with an oil film.
+    """The worn bearing by its name, the last one without a name. ConfigError where there is none, or none
+    with an oil film.
     """
     try:
         place = rig.place(name)

@@ -5,7 +5,7 @@ rules.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -222,19 +222,6 @@ class Ring:
         return ((self.inner / 2, height), (-self.outer / 2, height))
 
 
-@dataclass(frozen=True)
-class RotorSketch:
-    """What a sketch of a rotor shows [mm]: its *rings*, *stations* of the nodes, *bearings* and *places* by
-    name, largest radius.
-    """
-
-    rings: tuple[Ring, ...]
-    stations: tuple[float, ...]
-    bearings: tuple[tuple[str, float], ...]
-    places: tuple[tuple[str, float], ...]
-    reach: float
-
-
 def rotor_sections(identification: Identification) -> tuple[Section, ...]:
     """The section on the rotors of the fits, if any."""
     figures = tuple(rotor_figures(identification.settings))
@@ -259,33 +246,30 @@ def rotor_figure(rig: Mapping[str, Any]) -> Figure:
     )
     if rig["rotor"]["discs"]:
         caption += " Discs have the outline of a cylinder with their mass and moments of inertia."
-    return Figure(
-        rotor_chart(rotor_sketch(rig)), caption, f"Drawing of the rotor {rig['name']} with its bearings"
-    )
+    return Figure(rotor_chart(rig), caption, f"Drawing of the rotor {rig['name']} with its bearings")
 
 
-def rotor_chart(sketch: RotorSketch) -> chart.Chart:
-    """The sketch over the length of the shaft [mm]; parts that lie within others are drawn on them."""
-    reach, length = sketch.reach, sketch.stations[-1]
-    series = [line for ring in sketch.rings for line in _draw(ring)]
-    numbers = [str(number) for number in range(1, len(sketch.stations) + 1)]
-    lower = [-reach * (EVEN_NUMBERS if number % 2 else ODD_NUMBERS) for number in range(len(numbers))]
-    series += [
+def rotor_chart(rig: Mapping[str, Any]) -> chart.Chart:
+    """The rotor over the length of the shaft [mm]; parts that lie within others are drawn on them."""
+    rings, stations = rotor_rings(rig), MM * np.array(node_positions(rig["rotor"]))
+    reach, n = _reach(rings), stations.size
+    low = -reach * np.resize([ODD_NUMBERS, EVEN_NUMBERS], n)
+    centres = [stations[place["node"] - 1] for place in rig["bearings"]]
+    names = [place["name"] for place in rig["bearings"]]
+    series = [
+        *(line for ring in rings for line in _draw(ring)),
         chart.level(0.0, chart.INK, "-.", width=0.6),
-        chart.dots("node", sketch.stations, np.zeros(len(numbers)), chart.INK, size=2.0),
-        chart.labels(sketch.stations, lower, numbers, size=6.0),
-        chart.labels(
-            [centre for _, centre in sketch.bearings],
-            [-NAMES * reach] * len(sketch.bearings),
-            [name for name, _ in sketch.bearings],
-        ),
+        chart.dots("node", stations, np.zeros(n), chart.INK, size=2.0),
+        chart.labels(stations, low, [str(number) for number in range(1, n + 1)], size=6.0),
+        chart.labels(centres, [-NAMES * reach] * len(names), names),
     ]
-    for name, x in sketch.places:
+    for name in ("force", "response"):
+        x = stations[rig[name] - 1]
         series += [
             chart.arrow((x, TAIL * reach), (x, TIP * reach), PLACES),
             chart.labels([x], [(TAIL + 0.15) * reach], [name], PLACES),
         ]
-    along = chart.Axis("along the shaft", "mm", -0.03 * length, 1.03 * length)
+    along = chart.Axis("along the shaft", "mm", -0.03 * stations[-1], 1.03 * stations[-1])
     across = chart.Axis("radius", "mm", -2.3 * reach, 2.1 * reach)
     return chart.stack([chart.Panel(along, across, tuple(series))], HEIGHT, "above")
 
@@ -300,42 +284,38 @@ def _draw(ring: Ring) -> list[chart.Series]:
     ]
 
 
-def rotor_sketch(rig: Mapping[str, Any]) -> RotorSketch:
-    rotor, stations = rig["rotor"], node_positions(rig["rotor"])
-    rings = [
-        _ring("shaft", left, entry["length"], entry["inner_diameter"], entry["outer_diameter"])
-        for entry, left in zip(rotor["elements"], stations, strict=False)
-    ]
+def _reach(rings: Sequence[Ring]) -> float:
+    return max(ring.outer / 2 for ring in rings if ring.part != "bearing")
+
+
+def rotor_rings(rig: Mapping[str, Any]) -> list[Ring]:
+    """Shaft elements, sleeves, discs and bearings of a rotor file."""
+    rotor, stations, rings = rig["rotor"], node_positions(rig["rotor"]), list[Ring]()
+
+    def add(part: str, left: float, length: float, inner: float, outer: float) -> None:
+        rings.append(Ring(part, *(MM * size for size in (left, length, inner, outer))))
+
+    for on, left in zip(rotor["elements"], stations, strict=False):
+        add("shaft", left, on["length"], on["inner_diameter"], on["outer_diameter"])
     for sleeve in rotor["sleeves"]:
         on, left = rotor["elements"][sleeve["element"] - 1], stations[sleeve["element"] - 1]
-        rings.append(_ring("sleeve", left, on["length"], on["outer_diameter"], sleeve["outer_diameter"]))
+        add("sleeve", left, on["length"], on["outer_diameter"], sleeve["outer_diameter"])
     for disc in rotor["discs"]:
         inner, outer, length = disc_dimensions(disc, shaft_diameter(rotor, disc["node"]))
-        rings.append(_ring("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer))
-    reach = max(ring.outer / 2 for ring in rings)
-    centres = tuple((place["name"], MM * stations[place["node"] - 1]) for place in rig["bearings"])
-    bearings = []
+        add("disc", stations[disc["node"] - 1] - length / 2, length, inner, outer)
+    wall = BEARING_WALL * _reach(rings) / MM
     for place in rig["bearings"]:
         bore, length = bearing_dimensions(place["bearing"], shaft_diameter(rotor, place["node"]))
-        left = stations[place["node"] - 1] - length / 2
-        bearings.append(_ring("bearing", left, length, bore, bore + BEARING_WALL * reach / MM))
-    places = tuple((name, MM * stations[rig[name] - 1]) for name in ("force", "response"))
-    return RotorSketch(
-        (*rings, *bearings), tuple(MM * station for station in stations), centres, places, reach
-    )
+        add("bearing", stations[place["node"] - 1] - length / 2, length, bore, bore + wall)
+    return rings
 
 
 def bearing_dimensions(bearing: Mapping[str, Any], shaft: float) -> tuple[float, float]:
-    """(bore, length) [m] as the bearing's entries have them.
-
-    Of a kind without such entries the *shaft*'s diameter [m], and half of it.
+    """(bore, length) [m] as the bearing's entries have them. Of a kind without such entries the *shaft*'s
+    diameter [m], and half of it.
     """
     entries = bearing.get("settings", bearing)
     return entries.get("diameter") or shaft, entries.get("length") or shaft / 2
-
-
-def _ring(part: str, left: float, length: float, inner: float, outer: float) -> Ring:
-    return Ring(part, MM * left, MM * length, MM * inner, MM * outer)
 
 
 def node_positions(rotor: Mapping[str, Any]) -> list[float]:
@@ -349,10 +329,9 @@ def shaft_diameter(rotor: Mapping[str, Any], node: int) -> float:
 
 
 def disc_dimensions(disc: Mapping[str, Any], bore: float) -> tuple[float, float, float]:
-    """(bore, outer diameter, length) [m] of the hollow cylinder with a disc's mass and inertia.
-
-    From I_p = m/8 (D^2 + d^2) and I_t = I_p/2 + m l^2/12; a disc of less inertia is drawn a little larger
-    than its bore, to be seen.
+    """(bore, outer diameter, length) [m] of the hollow cylinder with a disc's mass and inertia. From I_p =
+    m/8 (D^2 + d^2) and I_t = I_p/2 + m l^2/12; a disc of less inertia is drawn a little larger than its bore,
+    to be seen.
     """
     outer = np.sqrt(max(8 * disc["polar_inertia"] / disc["mass"] - bore**2, 0.0))
     length = np.sqrt(max(12 * (disc["transverse_inertia"] - disc["polar_inertia"] / 2) / disc["mass"], 0.0))

@@ -37,9 +37,8 @@ def _refuse_bore(what: str, inner: float, outer: float) -> None:
 
 @dataclass(frozen=True)
 class Material:
-    """density [kg/m3], elastic and shear modulus [Pa]; Poisson's ratio enters the shear coefficient only.
-
-    Two of different names may have the same numbers and be uncertain by themselves.
+    """density [kg/m3], elastic and shear modulus [Pa]; Poisson's ratio enters the shear coefficient only. Two
+    of different names may have the same numbers and be uncertain by themselves.
     """
 
     density: float
@@ -83,18 +82,16 @@ class ShaftElement:
 
     @property
     def shear_coefficient(self) -> float:
-        """kappa of a circular tube (Cowper 1966); 6 (1 + nu) / (7 + 6 nu) for a solid shaft.
-
-        Equation (rotor-cowper).
+        """kappa of a circular tube (Cowper 1966); 6 (1 + nu) / (7 + 6 nu) for a solid shaft. Equation
+        (rotor-cowper).
         """
         nu, bore = self.material.poisson, (self.inner_diameter / self.outer_diameter) ** 2
         return 6 * (1 + nu) * (1 + bore) ** 2 / ((7 + 6 * nu) * (1 + bore) ** 2 + (20 + 12 * nu) * bore)
 
     @property
     def shear_parameter(self) -> float:
-        """Phi = 12 E I / (kappa G A l^2): zero for a slender (Euler-Bernoulli) element.
-
-        Equation (rotor-shear).
+        """Phi = 12 E I / (kappa G A l^2): zero for a slender (Euler-Bernoulli) element. Equation
+        (rotor-shear).
         """
         bending = 12 * self.material.elastic_modulus * self.second_moment
         return bending / (self.shear_coefficient * self.material.shear_modulus * self.area * self.length**2)
@@ -119,7 +116,6 @@ class Disc:
         cls, node: int, inner_diameter: float, outer_diameter: float, length: float, material: Material
     ) -> Disc:
         """A hollow cylinder: m = rho pi/4 (D^2 - d^2) l, I_p = m/8 (D^2 + d^2), I_t = I_p/2 + m l^2/12.
-
         Equation (rotor-disc).
         """
         _refuse_bore(f"disc on node {node}", inner_diameter, outer_diameter)
@@ -166,9 +162,7 @@ class Support:
 @dataclass(frozen=True)
 class Rotor:
     """Shaft elements from left to right, discs, sleeves, and the shaft's proportional damping C = alpha M +
-    beta K, [1/s] and [s].
-
-    ConfigError for a disc on a node, or a sleeve on an element, that does not exist.
+    beta K, [1/s] and [s]. ConfigError for a disc on a node, or a sleeve on an element, that does not exist.
     """
 
     elements: tuple[ShaftElement, ...]
@@ -255,10 +249,8 @@ def plane_stiffness(element: ShaftElement) -> FloatArray:
 
 def plane_inertia(element: ShaftElement, ring: ShaftElement | None = None) -> tuple[FloatArray, FloatArray]:
     """Translational mass rho A l int N N' and rotary inertia rho I l int D D' of one plane, (4, 4) each [kg,
-    kg m, kg m^2].
-
-    *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the element's
-    cross-section. Equation (rotor-inertia).
+    kg m, kg m^2]. *ring*: cross-section of a sleeve that follows the deflection of *element*; by default the
+    element's cross-section. Equation (rotor-inertia).
     """
     tube = ring or element
     deflection, rotation = shape_functions(element, (GAUSS_POINTS + 1) / 2)
@@ -272,10 +264,8 @@ def inertia_matrices(
     element: ShaftElement, ring: ShaftElement | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """M and G of an element or its sleeve, (8, 8) [kg, kg m, kg m^2], in the order y, z, rotation about y,
-    about z, left end, right end.
-
-    G is multiplied by the spin speed: a rotation rate about z turns the angular momentum towards y, 2 rho I
-    per length. Equation (rotor-gyroscopic).
+    about z, left end, right end. G is multiplied by the spin speed: a rotation rate about z turns the angular
+    momentum towards y, 2 rho I per length. Equation (rotor-gyroscopic).
     """
     translation, rotary = plane_inertia(element, ring)
     return in_both_planes(translation + rotary), across_planes(2 * rotary)
@@ -328,7 +318,6 @@ class RotorMatrices:
 @lru_cache(maxsize=8)
 def free_rotor(rotor: Rotor) -> RotorMatrices:
     """The rotor without supports; damping alpha M + beta K of the shaft alone, without discs and sleeves.
-
     Equation (rotor-motion).
     """
     mass, stiffness, gyroscopic = (np.zeros((4 * rotor.n_node, 4 * rotor.n_node)) for _ in range(3))
@@ -376,10 +365,8 @@ def bearing_loads(
     gravity: float = STANDARD_GRAVITY,
 ) -> FloatArray:
     """Static load of the rotor on rigid bearings at *nodes*, (n_bearing, 2) [N] in y and z: weight along -z
-    and *forces* by node.
-
-    More than two bearings share the load by the shaft's stiffness. ConfigError for fewer than two bearings.
-    Equation (rotor-loads).
+    and *forces* by node. More than two bearings share the load by the shaft's stiffness. ConfigError for
+    fewer than two bearings. Equation (rotor-loads).
     """
     nodes = list(nodes)
     if len(set(nodes)) < 2:

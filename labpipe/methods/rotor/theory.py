@@ -6,7 +6,7 @@ and the two speeds at .707 of it. Margins by the formulas of API 617 and 684, kn
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,28 +26,30 @@ from labpipe.report.document import Block, Document, Figure, Paragraph, Section,
 FREQUENCY_STEP = 0.15
 # Modes that are followed.
 MOST_MODES = 8
-# Half-power points, and speeds per peak of the response.
+# Half-power points, speeds of the response, speeds about a peak that is sharper than these tell, and the part
+# of a speed over which they end: there the peak is without damping.
 HALF_POWER = np.sqrt(0.5)
-FINE = 1500
+FINE, CLOSER, SHARPEST = 1500, 201, 1e-8
+# From speeds (n,) [Hz] to amplitudes (n,) [m].
+AmplitudeAt = Callable[[FloatArray], FloatArray]
 # Amplitudes [m] below which a point is at rest: what they are to the power of -2 is still a number.
 AT_REST = 1e-150
+# Difference of ln speed up to which two peaks are one: of sharp ones, and at most.
+ALIKE = 0.01, 0.03
 # Amplification below which API 684 sees no critical speed.
 LEAST_AMPLIFICATION = 2.5
 
 
 def margin_below(amplification: float) -> float:
-    """Separation [%] that a critical speed below the lowest operating speed must have (API 617, 684).
-
-    17 (1 - 1 / (AF - 1.5)), at most 16; 0 for AF below 2.5.
+    """Separation [%] that a critical speed below the lowest operating speed must have (API 617, 684). 17 (1 -
+    1 / (AF - 1.5)), at most 16; 0 for AF below 2.5.
     """
     return 0.0 if amplification < LEAST_AMPLIFICATION else min(16.0, 17 * (1 - 1 / (amplification - 1.5)))
 
 
 def margin_above(amplification: float) -> float:
     """The same of one above the highest operating speed: 10 + 17 (1 - 1 / (AF - 1.5)), at most 26."""
-    return (
-        0.0 if amplification < LEAST_AMPLIFICATION else min(26.0, 10 + 17 * (1 - 1 / (amplification - 1.5)))
-    )
+    return 0.0 if amplification < LEAST_AMPLIFICATION else 10 + margin_below(amplification)
 
 
 KEPT, BROKEN, UNDECIDED = "kept", "broken", "undecided"
@@ -78,6 +80,11 @@ class Critical:
     def amplification(self) -> float | None:
         """AF = N_c / (N_2 - N_1)."""
         return None if self.low is None or self.high is None else self.speed / (self.high - self.low)
+
+    def is_like(self, other: Critical) -> bool:
+        """Whether two peaks are of one critical speed: within 3 %, of sharp ones two bandwidths but 1 %."""
+        sharpest = max(self.amplification or 0.0, other.amplification or 0.0, 1.0)
+        return abs(np.log(self.speed / other.speed)) <= np.clip(2 / sharpest, *ALIKE)
 
     def margin(self, operating: float) -> tuple[float, float] | None:
         """The separation from an *operating* speed [Hz] there is, and the one that is asked for, [%]; None
@@ -126,29 +133,24 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         response.modes(rig.rotor, support, 2 * np.pi * speed)
         for support, speed in zip(supports, speeds, strict=True)
     ]
-    order = follow(at_speeds)
-    frequency, decrement, whirl = (np.full(order.shape, np.nan) for _ in range(3))
-    for number, solution in enumerate(at_speeds):
-        there = order[number] >= 0
-        roots = solution.eigenvalues[order[number, there]]
-        frequency[number, there] = roots.imag / (2 * np.pi)
-        decrement[number, there] = _decrements(roots)
-        whirl[number, there] = solution.whirl[order[number, there]]
+    frequency, decrement, whirl = followed(
+        at_speeds,
+        [
+            (solution.eigenvalues.imag / (2 * np.pi), decrements(solution.eigenvalues), solution.whirl)
+            for solution in at_speeds
+        ],
+    )
     at = _supports_between(speeds, supports)
     try:
         onset = response.onset_speed(rig.rotor, lambda omega: at(omega / (2 * np.pi)), 2 * np.pi * speeds)
     except FitError:
         onset = 2 * np.pi * float(speeds[0])
     crossings = []
-    for mode in range(order.shape[1]):
-        excess = frequency[:, mode] - speeds
+    for of_mode in zip(frequency.T, decrement.T, whirl.T, strict=True):
+        excess, rows = of_mode[0] - speeds, np.array([speeds, *of_mode[1:]])
         for n in np.flatnonzero(np.sign(excess[:-1]) * np.sign(excess[1:]) < 0):
             share = excess[n] / (excess[n] - excess[n + 1])
-            mixed = [
-                (1 - share) * row[n] + share * row[n + 1]
-                for row in (speeds, decrement[:, mode], whirl[:, mode])
-            ]
-            crossings.append((float(mixed[0]), float(mixed[1]), float(mixed[2])))
+            crossings.append(tuple(((1 - share) * rows[:, n] + share * rows[:, n + 1]).tolist()))
     # An integrating bearing has no coefficients at rest.
     own = rig.supports() if rig.speed else supports[0]
     lowest = response.modes(rig.rotor, own, rig.omega).eigenvalues[:MOST_MODES]
@@ -159,14 +161,28 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         decrement,
         whirl,
         None if onset is None else onset / (2 * np.pi),
-        float(np.min(_decrements(lowest), initial=np.inf)),
+        float(np.min(decrements(lowest), initial=np.inf)),
         tuple(sorted(crossings)),
     )
     return _with_response(theory, at) if any(rig.amounts.values()) else theory
 
 
-def _decrements(roots: ComplexArray) -> FloatArray:
+def decrements(roots: ComplexArray) -> FloatArray:
+    """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s]."""
     return np.asarray(-2 * np.pi * roots.real / roots.imag)
+
+
+def followed(
+    each: Sequence[response.Modes], amounts: Sequence[tuple[FloatArray, ...]]
+) -> tuple[FloatArray, ...]:
+    """The *amounts* (n_mode,) [any unit] of the modes at every speed as (n_speed, n_column) of modes that are
+    followed; NaN where one is not there.
+    """
+    order = follow(each)
+    return tuple(
+        np.array([np.append(row, np.nan)[places] for row, places in zip(of_kind, order, strict=True)])
+        for of_kind in zip(*amounts, strict=True)
+    )
 
 
 def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:
@@ -179,9 +195,8 @@ def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]])
 def follow(each: Sequence[response.Modes]) -> FloatArray:
     """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is not
     there. A mode that begins to oscillate within the speeds, as oil whirl may, has a column as well.
-
-    Neighbouring speeds are paired by the assurance criterion of their shapes times
-    exp(-(d ln |lambda| / .15)^2 / 2), all pairs together (linear assignment).
+    Neighbouring speeds are paired by the assurance criterion of their shapes times exp(-(d ln |lambda| /
+    .15)^2 / 2), all pairs together (linear assignment).
     """
     n_mode = min(MOST_MODES, each[0].eigenvalues.size)
     order = np.full((len(each), n_mode), -1)
@@ -214,24 +229,37 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
     amounts = rig.amounts
     nodes = sorted({rig.response, *amounts, *(place.node for place in rig.bearings)})
     outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
+
+    def amplitudes(speeds: FloatArray) -> FloatArray:
+        motion = np.array(
+            [
+                response.unbalance_response(
+                    rig.rotor, at(speed), np.array([2 * np.pi * speed]), amounts, outputs
+                )
+                for speed in speeds.tolist()
+            ]
+        ).reshape(speeds.size, len(nodes), 2)
+        # The major semi-axis of an orbit is the sum of its two circles.
+        return np.asarray(np.sum(np.abs(response.forward_backward_motion(motion)), axis=2))
+
+    def of_node(n: int) -> AmplitudeAt:
+        return lambda speeds: amplitudes(speeds)[:, n]
+
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
-    motion = np.array(
-        [
-            response.unbalance_response(
-                rig.rotor, at(float(speed)), np.array([2 * np.pi * speed]), amounts, outputs
-            )
-            for speed in fine
-        ]
-    ).reshape(fine.size, len(nodes), 2)
-    # The major semi-axis of an orbit is the sum of its two circles.
-    amplitude = np.sum(np.abs(response.forward_backward_motion(motion)), axis=2)
-    criticals = [critical for n, node in enumerate(nodes) for critical in peaks(fine, amplitude[:, n], node)]
+    amplitude = amplitudes(fine)
+    criticals = [
+        critical
+        for n, node in enumerate(nodes)
+        for critical in peaks(fine, amplitude[:, n], node, of_node(n))
+    ]
     return replace(theory, criticals=_distinct(criticals), fine=fine, amplitude=amplitude, nodes=tuple(nodes))
 
 
-def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Critical]:
+def peaks(
+    speed: FloatArray, amplitude: FloatArray, node: int = 0, finer: AmplitudeAt | None = None
+) -> list[Critical]:
     """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds; none of a
-    point at rest.
+    point at rest. What is sharper than the speeds tell is looked at at others, with *finer*.
     """
     if np.min(amplitude) < AT_REST:
         return []
@@ -242,12 +270,15 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
             curve, bounds=(speed[n - 1], speed[n + 1]), method="bounded", options={"xatol": 1e-9 * speed[n]}
         )
         if least.fun <= 0 or amplitude[n] < HALF_POWER * least.fun**-0.5:
-            # Sharper than the speeds tell.
-            criticals.append(Critical(float(speed[n]), float(amplitude[n]), node))
+            near = speed[max(n - 2, 0) : n + 3]
+            closer = np.linspace(near[0], near[-1], CLOSER)
+            more = finer is not None and np.ptp(near) > SHARPEST * speed[n]
+            found = peaks(closer, finer(closer), node, finer) if finer and more else []
+            criticals += found or [Critical(float(speed[n]), float(amplitude[n]), node)]
             continue
         top, height = float(least.x), float(least.fun) ** -0.5
-        below = np.flatnonzero(amplitude[:n] < HALF_POWER * height)
-        above = np.flatnonzero(amplitude[n:] < HALF_POWER * height)
+        beyond = amplitude < HALF_POWER * height
+        below, above = np.flatnonzero(beyond[:n]), np.flatnonzero(beyond[n:])
         low = high = None
         crossing = scipy.interpolate.CubicSpline(speed, amplitude**-2.0 - 2 * float(least.fun))
         if below.size:
@@ -259,10 +290,10 @@ def peaks(speed: FloatArray, amplitude: FloatArray, node: int = 0) -> list[Criti
 
 
 def _distinct(criticals: Sequence[Critical]) -> tuple[Critical, ...]:
-    """Peaks within 3 % of each other are one critical speed, told where it is sharpest."""
+    """Peaks that are alike are one critical speed, told where it is sharpest."""
     kept: list[Critical] = []
     for critical in sorted(criticals, key=lambda c: -(c.amplification or 0.0)):
-        if all(abs(critical.speed / other.speed - 1) > 0.03 for other in kept):
+        if not any(critical.is_like(other) for other in kept):
             kept.append(critical)
     return tuple(sorted(kept, key=lambda critical: critical.speed))
 
@@ -287,7 +318,7 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
             f"at node {critical.node}"
         )
         if critical.amplification is None:
-            yield f"{text}; no amplification factor within the speeds"
+            yield f"{text}; no half-power points within the speeds"
             continue
         text += f", amplification {critical.amplification:.3g}"
         margin = critical.margin(operating)

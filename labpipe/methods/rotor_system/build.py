@@ -21,6 +21,7 @@ from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 from labpipe.records.settings import StandardDeviations, quantity
+from labpipe.records.uncertain import Uncertainty
 
 # What a film's curve over the Sommerfeld number takes.
 ON_CURVE = ("clearance", "viscosity")
@@ -33,11 +34,9 @@ MOST_KEPT = 64
 @dataclass(frozen=True)
 class Theory:
     """A bearing under its static *load* (y, z) [N]; *scales* (n_input, 2): mean and standard uncertainty
-    [unit of each] in which the values of its uncertain inputs come.
-
-    An oil film with clearance and viscosity alone is its curve over the Sommerfeld number at any values. Any
-    other bearing is c(x) = c(0) + sum x (c(1) - c(-1)) / 2 + x^2 (c(1) - 2 c(0) + c(-1)) / 2 of its inputs x
-    in standard uncertainties.
+    [unit of each] in which the values of its uncertain inputs come. An oil film with clearance and viscosity
+    alone is its curve over the Sommerfeld number at any values. Any other bearing is c(x) = c(0) + sum x
+    (c(1) - c(-1)) / 2 + x^2 (c(1) - 2 c(0) + c(-1)) / 2 of its inputs x in standard uncertainties.
     """
 
     place: BearingPlace
@@ -104,20 +103,20 @@ class Theory:
     def _at(self, bearing: Bearing, matrix: str, spin: FloatArray, omega: FloatArray) -> FloatArray:
         if isinstance(bearing, MountedBearing) and bearing.kind.dynamic is not None:
             w = np.maximum(omega, SLOWEST)
-            controlled = (id(bearing), w.tobytes())
-            if controlled not in self._controlled:
+            key = (id(bearing), w.tobytes())
+            if key not in self._controlled:
                 if len(self._controlled) > MOST_KEPT:
                     self._controlled.clear()
-                self._controlled[controlled] = bearing.kind.dynamic(bearing.settings, w.ravel())
-            whole = self._controlled[controlled].reshape(*w.shape, 2, 2)
+                self._controlled[key] = bearing.kind.dynamic(bearing.settings, w.ravel())
+            whole = self._controlled[key].reshape(*w.shape, 2, 2)
             return whole.real if matrix == "stiffness" else whole.imag / w[..., None, None]
-        values = []
-        for speed in np.ravel(spin):
-            key = (id(bearing), float(speed))
-            if key not in self._points:
-                self._points[key] = bearing.at(OperatingPoint(self.load, float(speed), float(speed)))
-            values.append(getattr(self._points[key], matrix))
+        values = [getattr(self._point(bearing, float(speed)), matrix) for speed in np.ravel(spin)]
         return np.array(values).reshape(*np.shape(spin), 2, 2)
+
+    def _point(self, bearing: Bearing, speed: float) -> BearingCoefficients:
+        if (id(bearing), speed) not in self._points:
+            self._points[id(bearing), speed] = bearing.at(OperatingPoint(self.load, speed, speed))
+        return self._points[id(bearing), speed]
 
     @cached_property
     def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
@@ -136,6 +135,8 @@ APPARENT = 5.0
 RUNNING = ""
 DIRECTIONS = ("y", "z")
 COEFFICIENTS = ("yy", "yz", "zy", "zz")
+# Direct coefficients that are one number, by their letter.
+ALIKE = {"k": "k_yy", "c": "c"}
 
 
 @dataclass(frozen=True)
@@ -173,15 +174,15 @@ class Pedestal:
 class LinearBearing:
     """Constant *stiffness* [N/m] and *damping* [N s/m], (2, 2) in y and z, with their standard uncertainties,
     0 where one is known: of the logarithms of direct coefficients, which keep their sign, and of the numbers
-    themselves where they are zero or cross-coupled. *common*: c_yy and c_zz are one number. *skew*: k_yz is
-    -k_zy, of a seal, and acts while the rotor turns.
+    themselves where they are zero or cross-coupled. *common*: letters, k and c, whose direct coefficients are
+    one number. *skew*: k_yz is -k_zy, of a seal, and acts while the rotor turns.
     """
 
     stiffness: FloatArray
     damping: FloatArray
     stiffness_error: FloatArray
     damping_error: FloatArray
-    common: bool = False
+    common: str = ""
     skew: bool = False
 
 
@@ -200,14 +201,14 @@ def linear_bearing(
     bare = not (k[0, 1] or k[1, 0] or {"k_yz", "k_zy"} & stated.keys())
     skew = settings.k_cross is not None or (cross_error > 0 and bare)
 
+    common = ("k" if settings.k_zz is None else "") + ("c" if settings.c is not None else "")
+
     def errors(letter: str, values: FloatArray, default: float) -> FloatArray:
         names = [f"{letter}_{label}" for label in COEFFICIENTS]
-        if letter == "k" and settings.k_zz is None:
-            names[3] = "k_yy"
+        if letter in common:
+            names[0] = names[3] = ALIKE[letter]
         if letter == "k" and skew:
             names[1] = names[2] = "k_cross"
-        if letter == "c" and settings.c is not None:
-            names[0] = names[3] = "c"
         # A direct coefficient keeps its sign, so that it is the logarithm that is uncertain.
         sizes = np.abs(values).ravel()
         units = np.where((sizes > 0) & np.array([True, False, False, True]), sizes, 1.0)
@@ -218,9 +219,7 @@ def linear_bearing(
         errors = [stated[name] / unit if name in stated else error for name, unit, error in coefficients]
         return np.array(errors).reshape(2, 2)
 
-    return LinearBearing(
-        k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), settings.c is not None, skew
-    )
+    return LinearBearing(k, c, errors("k", k, stiffness_error), errors("c", c, damping_error), common, skew)
 
 
 @dataclass(frozen=True)
@@ -245,11 +244,11 @@ class RotorSystem:
     @property
     def has_unknown(self) -> bool:
         """Whether any number of it is uncertain."""
-        errors = [*self.young.values(), *self.masses, *(error for _, _, error in self.sleeves.values())]
-        errors += [error for _, _, error in self.unbalances]
-        errors += [float(np.max([b.stiffness_error, b.damping_error])) for b in self.linear.values()]
-        errors += [self.internal[1], *(pedestal.error for pedestal in self.pedestals)]
-        return any(errors) or bool(self.rig.sources)
+        errors = [*self.young.values(), *self.masses, self.internal[1]]
+        errors += [error for _, _, error in (*self.sleeves.values(), *self.unbalances)]
+        errors += [pedestal.error for pedestal in self.pedestals]
+        coefficients = [(b.stiffness_error, b.damping_error) for b in self.linear.values()]
+        return any(errors) or bool(np.any(coefficients)) or bool(self.rig.sources)
 
     @property
     def is_uncertain(self) -> bool:
@@ -260,25 +259,28 @@ class RotorSystem:
 @dataclass(frozen=True)
 class Built:
     """A model with what tests need: planes (dof of y, numbers of the real and imaginary part) of the
-    unbalances by node, and gains and phases of the probes by run-up.
+    unbalances by node, gains and phases of the probes by run-up, and the numbers of errors by their sources.
     """
 
     model: SystemModel
     planes: Mapping[int, tuple[int, int, int]]
     gains: Mapping[str, tuple[int, ...]]
     phases: Mapping[str, tuple[int, ...]]
+    sources: Mapping[str, int]
 
 
 @dataclass(frozen=True)
 class Sensors:
     """The sensors of a test: their *labels*, standard uncertainty of each *gain*, whether the rotor turns
-    meanwhile, and whether their *phase* counts, as of the vectors of a run-up.
+    meanwhile, whether their *phase* counts, as of the vectors of a run-up, and what their rig file states of
+    their *calibrations*.
     """
 
     labels: tuple[str, ...]
     gain: float = 0.0
     turning: bool = False
     phase: bool = False
+    calibrations: tuple[Uncertainty, ...] = ()
 
 
 # Named alternatives to a model that does not fit: pedestals that the file does not have, bearings that all
@@ -297,9 +299,9 @@ def build(
     if alternative == PEDESTALS:
         pedestals = tuple(_unknown_pedestal(system, place) for place in system.rig.bearings)
         system = replace(system, pedestals=pedestals)
-    turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
-    if alternative == TOGETHER:
+    elif alternative == TOGETHER:
         small = replace(small, together=ALTOGETHER)
+    turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
     return _Builder(system, small, turning).built(sensors)
 
 
@@ -322,11 +324,11 @@ class _Builder:
         self.system, self.small, self.running = system, small, running
         self.unknowns: list[Unknown] = []
         self.terms: list[Term] = []
-        # Inputs of bearing models by their sources: numbers of one source have one error.
+        # Inputs of bearing models and calibrations by their sources: numbers of one source have one error.
         self.sources: dict[str, int] = {}
         self.together = {
             letter: self.unknown(f"all bearings {letter} running", small.together, tests=running)
-            for letter in ("k", "c")
+            for letter in "kc"
         }
 
     def unknown(self, name: str, error: float, mean: float = 0.0, **entries: object) -> tuple[int, ...]:
@@ -366,10 +368,12 @@ class _Builder:
             phase = self.small.phase if channels.phase else 0.0
             gains[test] = self._of_sensors("gain", test, channels, channels.gain)
             phases[test] = self._of_sensors("phase", test, channels, phase, unit="rad", group="phase")
+            for stated in channels.calibrations:
+                self._source(f"sensor {stated.source}", stated, 0.0)
         n_shaft = 4 * rig.rotor.n_node
         n_dof = n_shaft + 2 * len(self.system.pedestals)
         model = SystemModel(tuple(self.unknowns), tuple(self.terms), n_dof, n_shaft)
-        return Built(model, planes, gains, phases)
+        return Built(model, planes, gains, phases, self.sources)
 
     def _of_sensors(
         self, what: str, test: str, sensors: Sensors, error: float, **entries: Any
@@ -402,27 +406,28 @@ class _Builder:
         beta, error = self.system.internal
         internal = self.unknown("internal damping", error if beta else 0.0, nominal=beta, nominal_unit="s")
         for number, element in enumerate(rotor.elements, 1):
-            dofs = range(4 * number - 4, 4 * number + 4)
-            mass, gyroscopic = shaft.inertia_matrices(element)
-            self.add("mass", dofs, mass)
-            self.add("gyroscopic", dofs, gyroscopic)
+            dofs, mass = range(4 * number - 4, 4 * number + 4), self._inertia(number, element)
             sleeve, constant = factors.get(number, ((), 1.0))
             local = self.unknown(f"element {number}", self.small.elements, group="elements")
             acting = (*young[element.material], *sleeve, *local)
             plane = constant * shaft.plane_stiffness(element)
-            self.add("stiffness", dofs, shaft.in_both_planes(plane), acting)
+            stiffness, turning = shaft.in_both_planes(plane), (*acting, *internal)
+            self.add("stiffness", dofs, stiffness, acting)
             if rotor.alpha or rotor.beta:
                 self.add("damping", dofs, rotor.alpha * mass)
-                self.add("damping", dofs, rotor.beta * shaft.in_both_planes(plane), acting)
+                self.add("damping", dofs, rotor.beta * stiffness, acting)
             if beta:
-                self.add("damping", dofs, beta * shaft.in_both_planes(plane), (*acting, *internal))
-                self.add("circulatory", dofs, beta * shaft.across_planes(plane), (*acting, *internal))
+                self.add("damping", dofs, beta * stiffness, turning)
+                self.add("circulatory", dofs, beta * shaft.across_planes(plane), turning)
         for ring in rotor.sleeves:
             element = rotor.elements[ring.element - 1]
-            mass, gyroscopic = shaft.inertia_matrices(element, ring.tube(element))
-            dofs = range(4 * ring.element - 4, 4 * ring.element + 4)
-            self.add("mass", dofs, mass)
-            self.add("gyroscopic", dofs, gyroscopic)
+            self._inertia(ring.element, element, ring.tube(element))
+
+    def _inertia(self, number: int, element: shaft.ShaftElement, *ring: shaft.ShaftElement) -> FloatArray:
+        mass, gyroscopic = shaft.inertia_matrices(element, *ring)
+        for name, matrix in (("mass", mass), ("gyroscopic", gyroscopic)):
+            self.add(name, range(4 * number - 4, 4 * number + 4), matrix)
+        return mass
 
     def _discs(self) -> None:
         rotor = self.system.rig.rotor
@@ -431,11 +436,11 @@ class _Builder:
             y, z, about_y, about_z = range(4 * disc.node - 4, 4 * disc.node)
             mass = self.unknown(f"mass of disc {number}", error, nominal=disc.mass, nominal_unit="kg")
             transverse, polar = (
-                (*mass, *self.unknown(f"{name} of disc {number}", size, group="inertia"))
-                for name, size in (
-                    ("J_t", self.small.inertia if disc.transverse_inertia else 0.0),
-                    ("J_p", self.small.inertia if disc.polar_inertia else 0.0),
+                (
+                    *mass,
+                    *self.unknown(f"{name} of disc {number}", self.small.inertia * bool(j), group="inertia"),
                 )
+                for name, j in (("J_t", disc.transverse_inertia), ("J_p", disc.polar_inertia))
             )
             self.add("mass", (y, z), disc.mass * np.eye(2), mass)
             self.add("mass", (about_y, about_z), disc.transverse_inertia * np.eye(2), transverse)
@@ -485,9 +490,9 @@ class _Builder:
                 value, error = float(values[row, column]), float(errors[row, column])
                 if not value and not error:
                     continue
-                alike = letter == "c" and bearing.common and row == column
+                alike = letter in bearing.common and row == column
                 turning = letter == "k" and bearing.skew and row != column
-                shown = letter if alike else "k_cross" if turning else f"{letter}_{label}"
+                shown = ALIKE[letter] if alike else "k_cross" if turning else f"{letter}_{label}"
                 if shown not in numbers:
                     linear = not value or row != column
                     numbers[shown] = self._with_running(f"{name} {shown}", error, value, unit, linear)
@@ -497,14 +502,8 @@ class _Builder:
                 if amount:
                     entry[row, column] = -1.0 if turning and row else 1.0
                 block = spread * np.tile(entry, (len(dofs) // 2,) * 2)
-                self.add(
-                    matrix,
-                    dofs,
-                    partial(_turning, block) if turning else block,
-                    factors,
-                    support=True,
-                    **amount,
-                )
+                acting = partial(_turning, block) if turning else block
+                self.add(matrix, dofs, acting, factors, support=True, **amount)
 
     def _with_running(
         self, name: str, error: float, value: float, unit: str, linear: bool
@@ -526,29 +525,25 @@ class _Builder:
         running = self.unknown(f"{name} running", self.small.bearings, tests=self.running, group="bearings")
         return (*running, *self.together[name.rpartition(" ")[2][0]])
 
+    def _source(self, name: str, stated: Uncertainty, value: float) -> int:
+        """The number of what errs by a *stated* uncertainty; a new one where its source is new."""
+        if stated.source not in self.sources:
+            (self.sources[stated.source],) = self.unknown(
+                name, stated.std_error, value, unit=stated.unit or "1"
+            )
+        return self.sources[stated.source]
+
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
         """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
-        inputs, scales = [], []
-        for entry in place.uncertainties:
-            source = entry.uncertainty.source
-            if source not in self.sources:
-                name = source.replace(": ", " ")
-                size, unit = entry.uncertainty.std_error, entry.uncertainty.unit
-                self.sources[source] = self.unknown(name, size, entry.value, unit=unit)[0]
-            inputs.append(self.sources[source])
-            unknown = self.unknowns[inputs[-1]]
-            scales.append((unknown.mean, unknown.error))
-        theory = Theory(place, self.system.rig.static_loads()[place.name], np.array(scales).reshape(-1, 2))
+        inputs = tuple(
+            self._source(entry.uncertainty.source.replace(": ", " "), entry.uncertainty, entry.value)
+            for entry in place.uncertainties
+        )
+        scales = np.array([(self.unknowns[n].mean, self.unknowns[n].error) for n in inputs]).reshape(-1, 2)
+        theory = Theory(place, self.system.rig.static_loads()[place.name], scales)
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
-            self.add(
-                matrix,
-                dofs,
-                partial(theory.block, matrix, spread),
-                self._running(f"{place.name} {letter}"),
-                support=True,
-                inputs=tuple(inputs),
-                follows=theory.follows,
-            )
+            block, running = partial(theory.block, matrix, spread), self._running(f"{place.name} {letter}")
+            self.add(matrix, dofs, block, running, support=True, inputs=inputs, follows=theory.follows)
 
 
 def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:

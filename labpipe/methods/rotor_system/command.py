@@ -13,6 +13,7 @@ from labpipe.cli.output import echo, echo_table
 from labpipe.errors import ConfigError
 
 if TYPE_CHECKING:
+    from labpipe.arrays import FloatArray
     from labpipe.methods.rotor_system.build import RotorSystem
     from labpipe.report.document import Document
 
@@ -40,14 +41,16 @@ def rotor(
     margins, stability, unbalance response. Uncertainties of the file's numbers, its pedestals and its
     internal damping count, and give intervals.
     """
+    import numpy as np
+
     from labpipe.artefacts.writing import output_file
     from labpipe.document.render import DOCUMENTS
     from labpipe.methods.rotor_system.system_file import load_system
 
     render = None if output is None else DOCUMENTS.load(output.suffix.lstrip("."))
     system = load_system(rotor_path, overrides)
-    band = _band(speeds, system.rig.speed)
-    entry, document = (_with_intervals if system.is_uncertain else _by_theory)(system, band, steps)
+    found = _with_intervals if system.is_uncertain else _by_theory
+    entry, document = found(system, np.linspace(*_band(speeds, system.rig.speed), steps))
     if json_path is not None:
         with output_file(json_path) as path:
             path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
@@ -56,13 +59,11 @@ def rotor(
             path.write_bytes(render(document))
 
 
-def _by_theory(system: RotorSystem, band: tuple[float, float], steps: int) -> tuple[dict[str, Any], Document]:
-    import numpy as np
-
+def _by_theory(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, Any], Document]:
     from labpipe.methods.rotor import theory
 
     rig = system.rig
-    found = theory.rotor_theory(rig, np.linspace(*band, steps))
+    found = theory.rotor_theory(rig, speeds)
     echo(f"{rig.name}, {60 * rig.speed:g} rpm")
     echo_table(("critical speed", "damping", "whirl"), list(theory.crossing_rows(found)), (0, 1))
     for line in theory.sentences(found):
@@ -70,15 +71,13 @@ def _by_theory(system: RotorSystem, band: tuple[float, float], steps: int) -> tu
     return theory.rotor_entry(found), theory.rotor_document(found)
 
 
-def _with_intervals(
-    system: RotorSystem, band: tuple[float, float], steps: int
-) -> tuple[dict[str, Any], Document]:
+def _with_intervals(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, Any], Document]:
     from labpipe.artefacts.json_file import entry_of, without_nan
     from labpipe.methods.rotor_system.evaluate import declared_result
     from labpipe.methods.rotor_system.section import result_blocks, sentences
     from labpipe.report.document import Document, Section
 
-    result = declared_result(system, band, steps)
+    result = declared_result(system, speeds)
     echo(f"{result.rotor}, {60 * system.rig.speed:g} rpm, as declared")
     for line in sentences(result):
         echo(line)

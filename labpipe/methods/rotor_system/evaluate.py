@@ -15,17 +15,9 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import plain_text
 from labpipe.distributions import chi2_tail, normal_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
+from labpipe.estimation.measured import Measured, matrix_errors, measured_part
 from labpipe.methods.rotor.theory import LEAST_DECREMENT
-from labpipe.methods.rotor_system import evidence, predictions, records
-from labpipe.methods.rotor_system.build import (
-    PEDESTALS,
-    TOGETHER,
-    Built,
-    RotorSystem,
-    Sensors,
-    SmallErrors,
-    build,
-)
+from labpipe.methods.rotor_system import build, evidence, predictions, records
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import (
     WIDENED,
@@ -40,15 +32,7 @@ from labpipe.methods.rotor_system.posterior import (
     pulls,
     refit,
 )
-from labpipe.methods.rotor_system.predictions import balance
-from labpipe.methods.rotor_system.settings import (
-    MODES,
-    RESPONSE,
-    RUN_UP,
-    RotorSystemSettings,
-    SystemTest,
-    place_of,
-)
+from labpipe.methods.rotor_system.settings import RESPONSE, RotorSystemSettings, SystemTest, place_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work
@@ -58,9 +42,10 @@ from labpipe.records.fit_details import Modes
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
+from labpipe.spectra.convert import DERIVATIVES
 
-# Derivatives in time by the form of an FRF.
-DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
+# What was read for a test: its FRF in its band, or its run-up.
+Reading = Measured | RunUp
 # Speeds of a Campbell diagram.
 SPEEDS = 41
 # A common change of all bearings that the tests at speed tell no better than this, is not told.
@@ -68,6 +53,8 @@ FAINT = 0.15
 # Fall of chi-square by one further unknown from which tests disagree, the square of standard errors; falls
 # that differ by less, a factor of 20 between likelihoods, tell nothing.
 TELLING, UNDECIDED = 16.0, 6.0
+# Logarithm of a factor up to which a straight line from the fit says how large it would have to be.
+FAR = 3.0
 # Share of the critical speed up to which one more run-up would go.
 NEARER = 0.95
 
@@ -77,34 +64,26 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     system = settings.system
     assert system is not None
     try:
-        runs = {
-            # Two tests may have recordings of one name, in folders of their own.
-            test.name: run_as_measured(
-                replace(test.run, name=test.name), work.output, work.pipeline.folder
-            ).run
-            for test in settings.tests
-            if test.run is not None
-        }
-        sensors = {test.name: _sensors(test, work, runs) for test in settings.tests}
+        readings = {test.name: reading for test in settings.tests if (reading := _reading(test, work))}
+        sensors = {test.name: _sensors(test, readings.get(test.name)) for test in settings.tests}
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
         out_of_place = list(_interlacing(settings, system, work))
         try:
-            built, posterior = _fit(settings, system, sensors, work, runs)
+            built, posterior = _fit(settings, system, sensors, work, readings)
         except FitError as error:
             error.hint = "; ".join(finding.message for finding in out_of_place) or error.hint
             raise
-        kinds = {test.name: test.kind for test in settings.tests}
         speeds = np.linspace(*settings.band, SPEEDS)
-        result = _result(system, built, posterior, speeds, kinds, settings.draws, settings.seed)
+        result = _result(system, built, posterior, speeds, settings.draws, settings.seed)
         measured = (
             (test.speed, float(frequency))
             for test in settings.tests
-            if test.kind == RESPONSE and not test.free and (test.fit or test.frequencies)
+            if test.kind == RESPONSE and not test.free and test.has_modes
             for frequency in _modes(test, work).frequency
         )
         return replace(
             result,
-            balance=balance(settings, built, posterior),
+            balance=predictions.balance(settings, built, posterior),
             measured=tuple(measured),
             findings=(*result.findings, *out_of_place),
         )
@@ -115,30 +94,30 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
 
 def _fit(
     settings: RotorSystemSettings,
-    system: RotorSystem,
-    sensors: Mapping[str, Sensors],
+    system: build.RotorSystem,
+    sensors: Mapping[str, build.Sensors],
     work: Work,
-    runs: Mapping[str, RunUp],
-) -> tuple[Built, SystemPosterior]:
+    readings: Mapping[str, Reading],
+) -> tuple[build.Built, SystemPosterior]:
 
-    def fitted(alternative: str) -> tuple[Built, SystemPosterior]:
-        built = build(system, settings.small_errors, sensors, alternative)
-        tests = [_evidence(test, built, system, work, runs) for test in settings.tests]
+    def fitted(alternative: str) -> tuple[build.Built, SystemPosterior]:
+        built = build.build(system, settings.small_errors, sensors, alternative)
+        tests = [_evidence(test, built, system, work, readings.get(test.name)) for test in settings.tests]
         return built, replace(fit_system(built.model, tests), alternative=alternative)
 
-    alternatives = [PEDESTALS] if not system.pedestals else []
+    alternatives = [build.PEDESTALS] if not system.pedestals else []
     running = any(sensor.turning for sensor in sensors.values())
-    alternatives += [TOGETHER] if running and not settings.small_errors.together else []
+    alternatives += [build.TOGETHER] if running and not settings.small_errors.together else []
     return most_probable(fitted, alternatives)
 
 
 def most_probable(
-    fitted: Callable[[str], tuple[Built, SystemPosterior]], alternatives: Sequence[str]
-) -> tuple[Built, SystemPosterior]:
+    fitted: Callable[[str], tuple[build.Built, SystemPosterior]], alternatives: Sequence[str]
+) -> tuple[build.Built, SystemPosterior]:
     """The fit of the rotor as it is declared, "", or of the most probable alternative to it where a test
     misfits or small errors are large; fitted to moved data where it is not normal.
     """
-    fits: list[tuple[Built, SystemPosterior]] = []
+    fits: list[tuple[build.Built, SystemPosterior]] = []
     faults: list[FitError] = []
     for alternative in ("", *alternatives):
         try:
@@ -158,15 +137,28 @@ def most_probable(
     return built, replace(refit(posterior), normal=False) if excess > bearable else posterior
 
 
-def _sensors(test: SystemTest, work: Work, runs: Mapping[str, RunUp]) -> Sensors:
+def _reading(test: SystemTest, work: Work) -> Reading | None:
     if test.kind == RESPONSE:
-        labels = tuple(port.label for port in _response(test, work).outputs)
-        return Sensors(labels, test.gain, test.speed > 0)
-    if test.kind == RUN_UP:
-        run = runs[test.name]
-        labels = tuple(f"{plane} {axis}" for plane in run.planes for axis in ("x", "y"))
-        return Sensors(labels, test.gain, True, True)
-    return Sensors(())
+        return _measured(test, _response(test, work))
+    if test.run is None:
+        return None
+    # Two tests may have recordings of one name, in folders of their own.
+    run = run_as_measured(replace(test.run, name=test.name), work.output, work.pipeline.folder).run
+    if run.shaker is not None:
+        raise DataError(f"test '{test.name}': a shaker excites this run", hint="give it as an FRF")
+    return run
+
+
+def _sensors(test: SystemTest, reading: Reading | None) -> build.Sensors:
+    if isinstance(reading, Measured):
+        labels = tuple(port.label for port in reading.outputs)
+        stated = tuple(error.uncertainty for error in matrix_errors(reading, directions=True))
+        return build.Sensors(labels, test.gain, test.speed > 0, calibrations=stated)
+    if reading is not None:
+        labels = tuple(f"{plane} {axis}" for plane in reading.planes for axis in ("x", "y"))
+        stated = tuple(error.uncertainty for error in reading.uncertainties)
+        return build.Sensors(labels, test.gain, True, True, stated)
+    return build.Sensors(())
 
 
 def _response(test: SystemTest, work: Work) -> FrequencyResponse:
@@ -178,18 +170,16 @@ def _response(test: SystemTest, work: Work) -> FrequencyResponse:
 
 
 def _evidence(
-    test: SystemTest, built: Built, system: RotorSystem, work: Work, runs: Mapping[str, RunUp]
+    test: SystemTest, built: build.Built, system: build.RotorSystem, work: Work, reading: Reading | None
 ) -> evidence.SystemEvidence:
-    if test.kind == MODES:
-        return _modes(test, work)
-    if test.kind == RESPONSE:
-        return _responses(test, _response(test, work), built, system)
-    if test.kind == RUN_UP:
-        return _vectors(test, runs[test.name], built, system)
-    return _deflections(test, system)
+    if isinstance(reading, Measured):
+        return _responses(test, reading, built, system)
+    if reading is not None:
+        return _vectors(test, reading, built, system)
+    return _modes(test, work) if test.has_modes else _deflections(test, system)
 
 
-def _deflections(test: SystemTest, system: RotorSystem) -> evidence.Deflections:
+def _deflections(test: SystemTest, system: build.RotorSystem) -> evidence.Deflections:
     places = [(_dof(system, to), _dof(system, force), number) for to, force, number in test.read_deflections]
     outputs = tuple(dict.fromkeys(output for output, _, _ in places))
     inputs = tuple(dict.fromkeys(force for _, force, _ in places))
@@ -204,7 +194,7 @@ def _deflections(test: SystemTest, system: RotorSystem) -> evidence.Deflections:
     return replace(whole, mass=float(np.log(test.mass.value)), mass_error=share)
 
 
-def _dof(system: RotorSystem, place: tuple[int, str]) -> int:
+def _dof(system: build.RotorSystem, place: tuple[int, str]) -> int:
     node, direction = place
     return system.rig.rotor.dofs(node)["yz".index(direction)]
 
@@ -246,49 +236,61 @@ def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
     return evidence.FreeModes(test.name, numbers, frequency, f_error / frequency, damping, d_error / damping)
 
 
-def _responses(
-    test: SystemTest, response: FrequencyResponse, built: Built, system: RotorSystem
-) -> evidence.Responses:
+def _measured(test: SystemTest, response: FrequencyResponse) -> Measured:
+    """The FRF of a test in its band."""
     if response.form not in DERIVATIVES:
         hint = "a response to a force is needed"
         raise DataError(f"test '{test.name}': its FRF is a {response.form}", hint=hint)
-    variance = response.variance
-    if variance is None:
+    if response.variance is None:
         raise DataError(f"test '{test.name}': the noise of its FRF is not known")
     whole = (*response.outputs, *response.inputs)
     _check_places(test, [name for port in whole for name in (port.dof, port.label)])
-    outputs, inputs = (
-        tuple(_dof(system, _place(test, port.dof, port.label)) for port in ports)
-        for ports in (response.outputs, response.inputs)
-    )
     low, high = test.band or (0.0, np.inf)
     kept = (response.frequency >= max(low, 1e-9)) & (response.frequency <= high)
     if not kept.any():
         raise DataError(f"test '{test.name}': no line lies in its band")
-    if np.any(variance[kept] <= 0):
+    if np.any(response.variance[kept] <= 0):
         raise DataError(f"test '{test.name}': the noise of its FRF is zero", hint="state its variance")
+    rows, columns = (list(range(n)) for n in response.matrix.shape[1:])
+    return measured_part(response, rows, columns, kept)
+
+
+def _responses(
+    test: SystemTest, measured: Measured, built: build.Built, system: build.RotorSystem
+) -> evidence.Responses:
+    outputs, inputs = (
+        tuple(_dof(system, _place(test, port.dof, port.label)) for port in ports)
+        for ports in (measured.outputs, measured.inputs)
+    )
+    assert measured.variance is not None
+    # A window spreads the noise of a line over its neighbours.
+    error = np.sqrt(measured.shared_noise * measured.variance / 2)
     return evidence.Responses(
         test.name,
-        2 * np.pi * response.frequency[kept],
+        measured.omega,
         outputs,
         inputs,
-        response.matrix[kept],
-        np.sqrt(variance[kept] / 2),
-        derivative=DERIVATIVES[response.form],
+        measured.matrix,
+        error.reshape(measured.matrix.shape),
         spin=2 * np.pi * test.speed,
         supported=not test.free,
         gains=built.gains[test.name],
+        changes={
+            built.sources[error.uncertainty.source]: error.change
+            for error in matrix_errors(measured, directions=True)
+        },
+        shared=measured.shared_noise,
     )
 
 
-def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work) -> Iterator[Finding]:
-    with_modes = [test for test in settings.tests if test.fit or test.frequencies]
-    free = [test for test in with_modes if test.kind == MODES or test.free]
+def _interlacing(settings: RotorSystemSettings, system: build.RotorSystem, work: Work) -> Iterator[Finding]:
+    with_modes = [test for test in settings.tests if test.has_modes]
+    free = [test for test in with_modes if test.kind != RESPONSE or test.free]
     coupled = any(
         np.any((np.abs(b.stiffness) + b.stiffness_error)[[0, 1], [1, 0]]) for b in system.linear.values()
     ) or len(system.linear) < len(system.rig.bearings)
     for test in with_modes:
-        if test.kind == MODES or test.free or test.speed:
+        if test.kind != RESPONSE or test.free or test.speed:
             continue
         inputs = [_place(test, p.dof, p.label)[1] for p in _response(test, work).inputs]
         planes = 2 if coupled else len(set(inputs))
@@ -297,9 +299,8 @@ def _interlacing(settings: RotorSystemSettings, system: RotorSystem, work: Work)
             modes = _modes(hung, work), _modes(test, work)
             for place, number, below in evidence.out_of_order(*modes, planes, bearings, pedestals):
                 rotor, stands = (m.frequency[n - 1] for m, n in zip(modes, (number, place), strict=True))
-                side, what = (
-                    ("below", "springs") if below else ("above", f"{bearings} springs, no mode missed,")
-                )
+                side = "below" if below else "above"
+                what = "springs" if below else f"{bearings} springs, no mode missed,"
                 yield Finding(
                     "interlacing",
                     f"test '{test.name}': mode {place} at {stands:.4g} Hz lies {side} bending mode {number} "
@@ -312,78 +313,69 @@ def _check_places(test: SystemTest, names: Sequence[str]) -> None:
     """ConfigError for an entry of `places` that is of no dof or plane."""
     for name in test.read_places:
         if name not in names:
-            raise ConfigError(
-                f"test '{test.name}': places: no dof or plane '{name}'", hint=nearest(name, names)
-            )
+            what = f"test '{test.name}': places: no dof or plane '{name}'"
+            raise ConfigError(what, hint=nearest(name, names))
 
 
 def _place(test: SystemTest, *names: str) -> tuple[int, str]:
     """Where a dof or plane is: as `places` says, else as its name does ("3y", "node 3")."""
-    places = test.read_places
+    places, directed = test.read_places, test.kind == RESPONSE
     for name in names:
         if name in places:
             return places[name]
-    directed = test.kind == RESPONSE
     for name in names:
         with suppress(UnitError):
             return place_of(name if directed else name.removeprefix("node"), directed)
-    example = "3 y" if directed else "3"
-    hint = f"places: {{{names[0]}: {example}}}"
+    hint = f"places: {{{names[0]}: {'3 y' if directed else '3'}}}"
     raise ConfigError(f"test '{test.name}': where on the rotor is '{names[0]}'?", hint=hint)
 
 
-def _vectors(test: SystemTest, run: RunUp, built: Built, system: RotorSystem) -> evidence.RunUpVectors:
+def _vectors(
+    test: SystemTest, run: RunUp, built: build.Built, system: build.RotorSystem
+) -> evidence.RunUpVectors:
     _check_places(test, [*run.planes, *run.unbalance])
-    outputs: list[int] = []
-    measured: list[ComplexArray] = []
-    noise: list[FloatArray] = []
+    loaded, nodes = test.axes == "load", [_place(test, plane)[0] for plane in run.planes]
+    # x along the load is -z, and y a quarter turn further with the spin is y.
+    outputs = [dof for node in nodes for dof in system.rig.rotor.dofs(node)[:: -1 if loaded else 1]]
+    signs = np.tile([-1.0 if loaded else 1.0, 1.0], len(nodes))
+
+    def by_probe(values: ComplexArray) -> ComplexArray:
+        return signs * values.reshape(run.n_speed, -1)
+
     error = np.sqrt((run.amplitude_error**2 + (np.abs(run.response) * run.phase_error) ** 2) / 2)
-    for number, plane in enumerate(run.planes):
-        y, z = system.rig.rotor.dofs(_place(test, plane)[0])
-        # x along the load is -z, and y a quarter turn further with the spin is y.
-        along_load = ((z, -1.0), (y, 1.0)) if test.axes == "load" else ((y, 1.0), (z, 1.0))
-        for axis, (dof, sign) in enumerate(along_load):
-            outputs.append(dof)
-            measured.append(sign * run.response[:, number, axis])
-            noise.append(error[:, number, axis])
-    if run.shaker is not None:
-        raise DataError(f"test '{test.name}': a shaker excites this run", hint="give it as an FRF")
-    turned = -1j if test.axes == "load" else 1.0
     added = tuple(
-        (system.rig.rotor.dofs(_place(test, plane)[0])[0], turned * amount)
+        (system.rig.rotor.dofs(_place(test, plane)[0])[0], amount * (-1j if loaded else 1.0))
         for plane, amount in run.unbalance.items()
         if amount
     )
     for dof, _ in added:
         if dof not in [first for first, _, _ in built.planes.values()]:
-            raise ConfigError(
-                f"test '{test.name}': an unbalance was added at node {dof // 4 + 1}, "
-                "where the rotor file has none"
-            )
+            what = f"an unbalance was added at node {dof // 4 + 1}, where the rotor file has none"
+            raise ConfigError(f"test '{test.name}': {what}")
     return evidence.RunUpVectors(
         test.name,
         run.speed,
         tuple(outputs),
-        np.stack(measured, axis=1),
-        evidence.run_up_whitener(np.array(noise), test.slow_roll),
+        by_probe(run.response),
+        evidence.run_up_whitener(error.reshape(run.n_speed, -1).T, test.slow_roll),
         planes=tuple(built.planes.values()),
         added=added,
         gains=built.gains[test.name],
         phases=built.phases[test.name],
+        changes={built.sources[source]: by_probe(change) for source, change in run.changes().items()},
     )
 
 
-def declared_result(system: RotorSystem, band: tuple[float, float], steps: int) -> records.RotorSystemResult:
-    """What a rotor file says before anything is measured, over *steps* speeds of a band [Hz]: intervals by
-    what it declares.
+def declared_result(system: build.RotorSystem, speeds: FloatArray) -> records.RotorSystemResult:
+    """What a rotor file says before anything is measured, over *speeds* (n_speed,) [Hz]: intervals by what it
+    declares.
     """
-    built = build(system, SmallErrors(), {})
+    built = build.build(system, build.SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
-    speeds = np.linspace(*band, steps)
-    return _result(system, built, posterior, speeds, {}, predictions.DRAWS // 2, 1)
+    return _result(system, built, posterior, speeds, predictions.DRAWS // 2, 1)
 
 
-def _unbalanced(posterior: SystemPosterior, built: Built) -> SystemPosterior:
+def _unbalanced(posterior: SystemPosterior, built: build.Built) -> SystemPosterior:
     """No unbalance in the middle, as without a run-up, makes no peak: that of its uncertainty does."""
     values = posterior.values.copy()
     for _, real, imaginary in built.planes.values():
@@ -393,11 +385,10 @@ def _unbalanced(posterior: SystemPosterior, built: Built) -> SystemPosterior:
 
 
 def _result(
-    system: RotorSystem,
-    built: Built,
+    system: build.RotorSystem,
+    built: build.Built,
     posterior: SystemPosterior,
     speeds: FloatArray,
-    kinds: Mapping[str, str],
     n_draw: int,
     seed: int,
 ) -> records.RotorSystemResult:
@@ -405,7 +396,7 @@ def _result(
     low, high = band = float(speeds[0]), float(speeds[-1])
     operating = rig.speed if rig.speed > 0 else high
     diagram = predictions.campbell(posterior, np.union1d(speeds, [operating]))
-    pulled, chi2 = pulls(posterior), posterior.chi2
+    pulled = pulls(posterior)
     least, error, gradient = predictions.least_decrement(posterior, operating)
     short = LEAST_DECREMENT - least
     above = float(normal_tail(short / error)) if error else float(short < 0)
@@ -420,15 +411,8 @@ def _result(
         operating,
         unknowns=tuple(_unknowns(posterior, pulled)),
         tests=tuple(
-            records.TestResult(
-                pull.test,
-                kinds[pull.test],
-                *chi2[pull.test],
-                chi2_tail(*chi2[pull.test]),
-                pull.unknown,
-                pull.z,
-            )
-            for pull in pulled
+            records.TestResult(test.name, test.kind, *chi2, chi2_tail(*chi2), pull.unknown, pull.z)
+            for test, pull, chi2 in zip(posterior.tests, pulled, posterior.chi2.values(), strict=True)
         ),
         small_errors=tuple(
             records.SmallErrorResult(group, built.model.groups[group], size)
@@ -510,6 +494,8 @@ def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) 
             group = cause.group.replace("_", " ")
             return f"small errors of {group} {cause.value:.1f} times as large as declared"
         unknown = posterior.model.unknowns[cause.number]
+        if not unknown.unit and abs(cause.value - unknown.mean) > FAR:
+            return f"another {unknown.name} in test '{cause.test}'"
         value, unit = _people(unknown, cause.value, 0.0)[0], unknown.unit or unknown.nominal_unit
         return f"{unknown.name} of {plain_text(value, unit, 3)} in test '{cause.test}'"
 
@@ -533,16 +519,17 @@ def _notes(posterior: SystemPosterior) -> Iterator[Finding]:
         )
     for what, spread in common_changes(posterior).items():
         if spread > FAINT:
+            tell = f"tell it to {100 * spread:.0f} % only" if spread < 1 else "do not tell it"
             yield note(
                 "bearings-at-speed",
-                f"the tests at speed tell a change of the {what} of all bearings against rest to "
-                f"{100 * spread:.0f} % only; if they may change together, declare small_errors: "
-                "{together: 30 %}, or run nearer to the critical speed",
+                f"a change of the {what} of all bearings at speed against rest: the tests {tell}; if they "
+                "may change together, declare small_errors: {together: 30 %}, or run nearer to the critical "
+                "speed",
             )
     untold = [
         unknown.name
         for unknown, share in zip(posterior.model.unknowns, posterior.shares, strict=True)
-        if share >= 0.7 and not unknown.group and not unknown.name.startswith(("gain", "phase"))
+        if share >= 0.7 and not unknown.group and not unknown.name.startswith(records.OF_SENSORS)
     ]
     if untold:
         yield note("not-told-by-tests", f"no test tells {', '.join(untold)}")

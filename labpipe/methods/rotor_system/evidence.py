@@ -4,8 +4,9 @@ frequency responses, run-ups, deflections and weight.
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, replace
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy import linalg
@@ -20,7 +21,9 @@ FEW_LINES = 48
 
 
 class SystemEvidence(Evidence[SystemModel], Protocol):
-    """A test of a rotor with all that carries it: its *name*, and its residual."""
+    """A test of a rotor with all that carries it: its *kind* and *name*, and its residual."""
+
+    kind: ClassVar[str]
 
     @property
     def name(self) -> str: ...
@@ -38,6 +41,7 @@ class FreeModes:
     standard *frequency_error*, and the same of their damping ratios, NaN where one is not known.
     """
 
+    kind: ClassVar[str] = "modes"
     name: str
     numbers: IntArray
     frequency: FloatArray
@@ -106,16 +110,28 @@ def as_real(values: ComplexArray) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
+def calibrated(
+    model: SystemModel, values: FloatArray, changes: Mapping[int, ComplexArray]
+) -> tuple[ComplexArray | float, dict[int, ComplexArray]]:
+    """What errors of calibrations add to what was measured (n_line, ...) [its unit], and its derivative by
+    each of these unknowns: *changes* by one standard uncertainty.
+    """
+    by_unknown = {number: change / model.errors[number] for number, change in changes.items()}
+    return sum((values[n] - model.means[n]) * slope for n, slope in by_unknown.items()), by_unknown
+
+
 @dataclass(frozen=True)
 class Responses:
-    """A frequency response: *measured* (n_line, n_output, n_input) at *omega* (n_line,) [rad/s] and a *spin*
-    speed [rad/s], dofs of *outputs* and *inputs*, with its standard *error* of each component, real and
-    imaginary alike (n_line, n_output, n_input), NaN where a path was not measured.
+    """Receptance *measured* (n_line, n_output, n_input) [m/N] at *omega* (n_line,) [rad/s] and a *spin* speed
+    [rad/s], dofs of *outputs* and *inputs*, with its standard *error* of each component, real and imaginary
+    alike (n_line, n_output, n_input), NaN where a path was not measured.
 
-    derivative: 0 of displacements, 1 of velocities, 2 of accelerations. supported: on its bearings, or free.
-    gains: numbers of the unknowns of the outputs' gains.
+    supported: on its bearings, or free. gains: numbers of the unknowns of the outputs' gains. changes: by one
+    standard uncertainty of unknowns of calibrations, by their numbers. shared: lines that have the noise of
+    one in common, which the *error* allows for.
     """
 
+    kind: ClassVar[str] = "response"
     name: str
     omega: FloatArray
     outputs: tuple[int, ...]
@@ -123,27 +139,30 @@ class Responses:
     measured: ComplexArray
     error: FloatArray
     _: KW_ONLY
-    derivative: int = 0
     spin: float = 0.0
     supported: bool = True
     gains: tuple[int, ...] = ()
+    changes: Mapping[int, ComplexArray] = field(default_factory=dict)
+    shared: float = 1.0
 
     def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, Derivatives]:
-        """H (n_line, n_output, n_input) [unit of the FRF] and its derivatives (n_unknown, ...)."""
+        """H (n_line, n_output, n_input) [m/N] and its derivatives (n_unknown, ...)."""
         forces, spin = np.eye(model.n_dof)[:, list(self.inputs)], np.full(self.omega.size, self.spin)
         acting = np.where(model.acting(self.name), values, 0.0)
         motion, slopes, _ = model.response(acting, spin, self.omega, forces, self.outputs, self.supported)
         gains = np.exp(acting[list(self.gains)])[:, None] if self.gains else 1.0
-        factor = (1j * self.omega[:, None, None]) ** self.derivative * gains
-        modelled = motion * factor
+        modelled = motion * gains
+        added, by_unknown = calibrated(model, values, self.changes)
 
         def derivatives() -> ComplexArray:
-            moved = slopes() * factor
+            moved = slopes() * gains
             for output, number in enumerate(self.gains):
                 moved[number, :, output] += modelled[:, output]
+            for number, change in by_unknown.items():
+                moved[number] += change
             return moved
 
-        return modelled, derivatives
+        return modelled + added, derivatives
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
@@ -156,7 +175,13 @@ class Responses:
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
         """At *values* (n_unknown,) [SI units], see Evidence."""
         few = slice(None, None, max(1, self.omega.size // FEW_LINES))
-        thinned = replace(self, omega=self.omega[few], measured=self.measured[few], error=self.error[few])
+        thinned = replace(
+            self,
+            omega=self.omega[few],
+            measured=self.measured[few],
+            error=self.error[few],
+            changes={number: change[few] for number, change in self.changes.items()},
+        )
         size = np.maximum(np.abs(thinned.measured), np.abs(thinned.predicted(model, values)[0]))
         return replace(thinned, error=np.hypot(thinned.error, share * size))
 
@@ -167,10 +192,11 @@ class RunUpVectors:
     *outputs*, known *added* unbalance by dof of its plane's y [kg m].
 
     planes: (dof of y, numbers of the unknown real and imaginary unbalance). gains, phases: numbers of the
-    unknowns of every probe. whitener (n_probe, n_speed, n_speed): of one real component of each probe, slow
-    roll that was subtracted in it.
+    unknowns of every probe. changes: as of Responses, (n_speed, n_probe) [m]. whitener (n_probe, n_speed,
+    n_speed): of one real component of each probe, slow roll that was subtracted in it.
     """
 
+    kind: ClassVar[str] = "run-up"
     name: str
     speed: FloatArray
     outputs: tuple[int, ...]
@@ -181,6 +207,7 @@ class RunUpVectors:
     added: tuple[tuple[int, complex], ...] = ()
     gains: tuple[int, ...] = ()
     phases: tuple[int, ...] = ()
+    changes: Mapping[int, ComplexArray] = field(default_factory=dict)
 
     def readings(
         self, model: SystemModel, values: FloatArray
@@ -204,6 +231,7 @@ class RunUpVectors:
         probes = np.broadcast_to(np.exp(gains + 1j * phases), len(self.outputs))
         influence = (left @ forces) * probes[:, None]
         vectors = motion[:, :, 0] * probes
+        shown, by_unknown = calibrated(model, values, self.changes)
 
         def derivatives() -> ComplexArray:
             moved = slopes()[..., 0] * probes
@@ -213,9 +241,11 @@ class RunUpVectors:
             for numbers, turn in ((self.gains, 1.0), (self.phases, 1j)):
                 for probe, number in enumerate(numbers):
                     moved[number, :, probe] += turn * vectors[:, probe]
+            for number, change in by_unknown.items():
+                moved[number] += change
             return moved * model.acting(self.name)[:, None, None]
 
-        return vectors, derivatives, influence
+        return vectors + shown, derivatives, influence
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
@@ -235,8 +265,14 @@ class RunUpVectors:
         *noise* (n_probe,) [m] of a component.
         """
         size = np.broadcast_to(np.reshape(noise, (-1, 1)), (len(self.outputs), speed.size))
-        nothing = np.zeros((speed.size, len(self.outputs)), complex)
-        return replace(self, speed=speed, measured=nothing, whitener=run_up_whitener(size, 0.0), added=added)
+        return replace(
+            self,
+            speed=speed,
+            measured=np.zeros((speed.size, len(self.outputs)), complex),
+            whitener=run_up_whitener(size, 0.0),
+            added=added,
+            changes={},
+        )
 
     @property
     def noise(self) -> FloatArray:
@@ -266,6 +302,7 @@ class Deflections:
     where it was weighed ln *mass* [kg] of the rotor with its error; NaN where nothing was measured.
     """
 
+    kind: ClassVar[str] = "static"
     name: str
     outputs: tuple[int, ...]
     inputs: tuple[int, ...]

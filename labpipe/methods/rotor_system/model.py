@@ -356,10 +356,9 @@ class SystemModel:
         supported: bool = True,
     ) -> tuple[ComplexArray, Derivatives, ComplexArray]:
         """y = S D^-1 F (n_line, n_output, n_force) [m], its derivatives (n_unknown, n_line, n_output,
-        n_force), and S D^-1 (n_line, n_output, n_dof) [m/N].
-
-        *forces* (n_dof, n_force) or (n_line, n_dof, n_force) [N]; *omega*, *spin* (n_line,) [rad/s]. By the
-        adjoint: y' = -(S D^-1) D' (D^-1 F), one factorisation for all unknowns. Equation (system-adjoint).
+        n_force), and S D^-1 (n_line, n_output, n_dof) [m/N]. *forces* (n_dof, n_force) or (n_line, n_dof,
+        n_force) [N]; *omega*, *spin* (n_line,) [rad/s]. By the adjoint: y' = -(S D^-1) D' (D^-1 F), one
+        factorisation for all unknowns. Equation (system-adjoint).
         """
         n_line, n_force, n_output = np.size(omega), forces.shape[-1], len(outputs)
         right = np.zeros((n_line, self.n_dof, n_force), np.complex128)
@@ -442,10 +441,9 @@ class SystemModel:
     def _following(self, values: FloatArray, spin: float, most: int, slopes: bool) -> Roots:
         """Eigenvalues with the coefficients at their own frequencies, from those in bands of frequencies with
         the coefficients at the middle of each: by inverse iteration of both vectors, the coefficients anew in
-        every step. One that does not settle is left out.
-
-        With D(lambda, w) at w = Im lambda, g = p^H dD/dw v and m = p^H dD/dlambda v:
-        m d lambda + g Im d lambda = -p^H D v in every step, and -p^H D' v for the slopes.
+        every step. One that does not settle is left out. With D(lambda, w) at w = Im lambda, g = p^H dD/dw v
+        and m = p^H dD/dlambda v: m d lambda + g Im d lambda = -p^H D v in every step, and -p^H D' v for the
+        slopes.
         """
         weights, _ = self._weights(values)
         whole = SystemMatrices(**dict(zip(POWERS, self._constant(weights, True), strict=True)))

@@ -88,9 +88,11 @@ class SystemPosterior(Posterior[SystemModel]):
 
     @property
     def chi2(self) -> dict[str, tuple[float, int]]:
-        """(chi-square, data) by test."""
-        names = (test.name for test in self.tests)
-        return {n: (float(r @ r), r.size) for n, (r, _) in zip(names, self.by_test, strict=True)}
+        """(chi-square, independent data) by test."""
+        return {
+            test.name: (float(r @ r), max(1, round(r.size / getattr(test, "shared", 1.0))))
+            for test, (r, _) in zip(self.tests, self.by_test, strict=True)
+        }
 
     @cached_property
     def spread(self) -> FloatArray:
@@ -162,11 +164,10 @@ def normal_draws(values: FloatArray, covariance: FloatArray, n_draw: int, seed: 
 def fit_system(
     model: SystemModel, tests: Sequence[SystemEvidence], *, estimate_sizes: bool = True
 ) -> SystemPosterior:
-    """The posterior of all *tests*; FitError where no minimum is found.
-
-    Standing tests first, then run-ups with noise that is enlarged at first: from prior means one start
-    suffices in matched cases. Sizes of groups by EM: tau^2 = (sum m^2 + tr V + 2 tau_0^2) / (n + 2), between
-    the declared size and six times it. Equation (system-sizes).
+    """The posterior of all *tests*; FitError where no minimum is found. Standing tests first, then run-ups
+    with noise that is enlarged at first: from prior means one start suffices in matched cases. Sizes of
+    groups by EM: tau^2 = (sum m^2 + tr V + 2 tau_0^2) / (n + 2), between the declared size and six times it.
+    Equation (system-sizes).
     """
     whole = np.ones(model.means.size, dtype=bool)
     problem = SystemProblem(model, tuple(tests), model.means, model.errors, whole, model.means)
@@ -295,11 +296,10 @@ class Explanation:
 
 
 def explanations(posterior: SystemPosterior) -> list[Explanation]:
-    """What would make the tests agree, the best first, an unknown in the test in which it explains most.
-
-    By a further unknown in the residual of one test, linearised and with small errors as declared: a that
-    column, s = a^T r - a^T J V g and i = a^T a - a^T J V J^T a, chi-square falls by s^2 / i at a change -s /
-    i; V^-1 = sum J^T J + P, g half the gradient of chi-square. Equation (system-explanation).
+    """What would make the tests agree, the best first, an unknown in the test in which it explains most. By a
+    further unknown in the residual of one test, linearised and with small errors as declared: a that column,
+    s = a^T r - a^T J V g and i = a^T a - a^T J V J^T a, chi-square falls by s^2 / i at a change -s / i; V^-1
+    = sum J^T J + P, g half the gradient of chi-square. Equation (system-explanation).
     """
     model, off = posterior.model, posterior.values - posterior.model.means
     data = sum(jacobian.T @ jacobian for _, jacobian in posterior.by_test)
@@ -341,7 +341,6 @@ def explanations(posterior: SystemPosterior) -> list[Explanation]:
 def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]:
     """The share [1] of the variance of a prediction with this *gradient* (n_unknown,) that would go if one
     unknown, or all small errors of a group, were known: (V g)_s^T V_ss^-1 (V g)_s / g^T V g; largest first.
-
     Unknowns that the tests tell together have shares in common, so that all of them may exceed 1. Equation
     (system-budget).
     """
@@ -357,9 +356,8 @@ def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]
 
 def common_changes(posterior: SystemPosterior) -> dict[str, float]:
     """Standard uncertainties to which the tests alone tell ln of the stiffness, and of the damping, of all
-    bearings at speed against rest: (1 / u^2 - 1 / u_0^2)^-1/2 of their mean, u_0 as declared [1].
-
-    Nothing where one error of all is an unknown, and where no bearing has such errors.
+    bearings at speed against rest: (1 / u^2 - 1 / u_0^2)^-1/2 of their mean, u_0 as declared [1]. Nothing
+    where one error of all is an unknown, and where no bearing has such errors.
     """
     unknowns = posterior.model.unknowns
     changes = {}
@@ -391,10 +389,9 @@ def normality(posterior: SystemPosterior) -> tuple[float, float]:
 def refit(posterior: SystemPosterior, n_draw: int = REFITS, seed: int = 0) -> SystemPosterior:
     """The posterior by randomised maximum likelihood where the normal approximation fails: data and prior
     means are moved by their own standard uncertainties and fitted again, *n_draw* times (Chen and Oliver
-    2012). Equation (system-draws).
-
-    The chi-square of moved data is a non-central one about that of the posterior; a fit that ends beyond it
-    has lost the rotor, and where most have, the normal approximation stands.
+    2012). Equation (system-draws). The chi-square of moved data is a non-central one about that of the
+    posterior; a fit that ends beyond it has lost the rotor, and where most have, the normal approximation
+    stands.
     """
     problem, rng = posterior.problem, np.random.default_rng(seed)
     residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)

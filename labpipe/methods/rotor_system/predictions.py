@@ -17,7 +17,7 @@ from labpipe.errors import FitError
 from labpipe.methods.balancing.influence import best_weights, rms_left, square_of
 from labpipe.methods.rotor.posterior import root_of
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, Modes
-from labpipe.methods.rotor.theory import Critical, follow, peaks
+from labpipe.methods.rotor.theory import AmplitudeAt, Critical, decrements, followed, peaks
 from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
@@ -50,28 +50,23 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell
     """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order:
     f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
     """
-    model = posterior.model
+    model, w = posterior.model, posterior.widened
     values = at_speed(model, posterior.values)
-    acting = model.acting(RUNNING)
-    each, roots = [], []
-    for speed in speeds:
-        solution = model.roots(values, 2 * np.pi * float(speed), 2 * MOST_MODES)
+    each, amounts = [], []
+    for speed in 2 * np.pi * speeds:
+        solution = model.roots(values, float(speed), 2 * MOST_MODES)
         shaft = solution.shapes[: model.n_shaft].reshape(-1, 4, solution.values.size)
-        each.append(Modes(2 * np.pi * float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
-        roots.append(solution)
-    order = follow(each)
-    frequency, f_error, decrement, d_error, whirl = (np.full(order.shape, np.nan) for _ in range(5))
-    for number, (solution, modes) in enumerate(zip(roots, each, strict=True)):
-        there = order[number] >= 0
-        chosen = order[number, there]
-        root, slopes = solution.values[chosen], np.where(acting, solution.slopes[chosen], 0.0)
-        frequency[number, there] = root.imag / (2 * np.pi)
-        f_error[number, there] = posterior.gradient_error(slopes.imag) / (2 * np.pi)
-        decrement[number, there], moved = decrements(root, slopes)
-        d_error[number, there] = posterior.gradient_error(moved)
-        whirl[number, there] = modes.whirl[chosen]
-    w = posterior.widened
-    return records.Campbell(np.asarray(speeds), frequency, w * f_error, decrement, w * d_error, whirl)
+        each.append(Modes(float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
+        slopes = np.where(model.acting(RUNNING), solution.slopes, 0.0)
+        errors = (
+            w * posterior.gradient_error(s) for s in (slopes.imag, decrement_slopes(solution.values, slopes))
+        )
+        f_error, d_error = errors
+        frequency = solution.values.imag / (2 * np.pi)
+        amounts.append(
+            (frequency, f_error / (2 * np.pi), decrements(solution.values), d_error, each[-1].whirl)
+        )
+    return records.Campbell(np.asarray(speeds), *followed(each, amounts))
 
 
 def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float, float, FloatArray]:
@@ -83,19 +78,19 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     if not roots.values.size:
         raise FitError(f"no mode of the rotor oscillates at {60 * operating:.0f} rpm")
     slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
-    decrement, moved = decrements(roots.values, slopes)
+    decrement, moved = decrements(roots.values), decrement_slopes(roots.values, slopes)
     mode = int(np.argmin(decrement))
     error = posterior.widened * float(posterior.gradient_error(moved[mode]))
     return float(decrement[mode]), error, moved[mode]
 
 
-def decrements(root: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s], and
-    their derivatives (n_mode, n_unknown) by those of the eigenvalues, *slopes* (n_mode, n_unknown).
+def decrement_slopes(root: ComplexArray, slopes: ComplexArray) -> FloatArray:
+    """Derivatives (n_mode, n_unknown) of the decrements of eigenvalues (n_mode,) [1/s] by *slopes* of these
+    (n_mode, n_unknown).
     """
-    delta = -2 * np.pi * root.real / root.imag
-    moved = -2 * np.pi * slopes.real / root.imag[:, None] - (delta / root.imag)[:, None] * slopes.imag
-    return delta, moved
+    return np.asarray(
+        -(2 * np.pi * slopes.real + decrements(root)[:, None] * slopes.imag) / root.imag[:, None]
+    )
 
 
 def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | None:
@@ -165,11 +160,16 @@ class _Reduced:
     def amplitudes(
         self, values: FloatArray, speed: FloatArray, forces: ComplexArray, outputs: Sequence[int]
     ) -> FloatArray:
-        """|z| (n_speed, n_output) [m] at *speed* (n_speed,) [rad/s]; *forces* (n_dof,) [kg m]."""
-        (stiffness,) = self.model.dynamic(values, speed, speed)
-        turned = self.basis.T @ forces * speed[:, None] ** 2
+        """|z| (n_speed, n_output) [m] at *speed* (n_speed,) [Hz]; *forces* (n_dof,) [kg m]."""
+        omega = 2 * np.pi * speed
+        (stiffness,) = self.model.dynamic(values, omega, omega)
+        turned = self.basis.T @ forces * omega[:, None] ** 2
         motion = np.linalg.solve(stiffness, turned[:, :, None])[:, :, 0]
         return np.asarray(np.abs(motion @ self.basis[list(outputs)].T))
+
+    def at(self, values: FloatArray, forces: ComplexArray, output: int) -> AmplitudeAt:
+        """The same at one *output*, over the speed alone."""
+        return lambda speed: self.amplitudes(values, speed, forces, [output])[:, 0]
 
 
 def unbalance_forces(built: Built, values: FloatArray) -> ComplexArray:
@@ -200,48 +200,45 @@ def critical_speeds(
     reduced = _Reduced(model, values, forced, 2 * np.pi * float(np.sqrt(band[0] * band[1])))
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
     forces = unbalance_forces(built, posterior.values)
-    amplitude = reduced.amplitudes(values, 2 * np.pi * coarse, forces, outputs)
-    courses = zip(amplitude.T, outputs, strict=True)
-    all_peaks = [(peak, dof) for course, dof in courses for peak in peaks(coarse, course)]
-    distinct: list[tuple[Critical, int]] = []
-    for peak, dof in sorted(all_peaks, key=lambda pair: -pair[0].amplitude):
-        if all(abs(np.log(peak.speed / other.speed)) > 0.03 for other, _ in distinct):
-            distinct.append((peak, dof))
+    amplitude = reduced.amplitudes(values, coarse, forces, outputs)
+    all_peaks = [
+        peak
+        for course, dof in zip(amplitude.T, outputs, strict=True)
+        for peak in peaks(coarse, course, dof, reduced.at(values, forces, dof))
+    ]
+    distinct: list[Critical] = []
+    for peak in sorted(all_peaks, key=lambda peak: -peak.amplitude):
+        if not any(peak.is_like(other) for other in distinct):
+            distinct.append(peak)
     draws = posterior.values + posterior.widened * (posterior.draws(n_draw, seed) - posterior.values)
-    speeds = np.log([peak.speed for peak, _ in distinct])
+    speeds = np.log([peak.speed for peak in distinct])
     # A peak of a draw is the same one where it is nearer to it than to any other.
     rooms = [min([*(abs(at - other) / 2 for other in speeds if other != at), AROUND]) for at in speeds]
     criticals = [
-        _critical(reduced, built, peak, dof, draws, operating, room)
-        for (peak, dof), room in zip(distinct, rooms, strict=True)
+        _critical(reduced, built, peak, draws, operating, room)
+        for peak, room in zip(distinct, rooms, strict=True)
     ]
     return sorted(criticals, key=lambda critical: critical.speed)
 
 
 def _critical(
-    reduced: _Reduced,
-    built: Built,
-    peak: Critical,
-    dof: int,
-    draws: FloatArray,
-    operating: float,
-    apart: float,
+    reduced: _Reduced, built: Built, peak: Critical, draws: FloatArray, operating: float, apart: float
 ) -> records.CriticalResult:
     half = AROUND
     # A flat peak needs more room for its half-power points.
     if peak.low is not None and peak.high is not None:
         half = max(half, 2 * np.log(peak.high / peak.speed), 2 * np.log(peak.speed / peak.low))
-    rows = _drawn_peaks(reduced, built, peak, dof, draws, (half, half * STEP / AROUND, apart))
+    rows = _drawn_peaks(reduced, built, peak, draws, (half, half * STEP / AROUND, apart))
     if np.mean([row is None for row in rows]) > SCATTERED:
         # Speeds that are hardly known: the nearest peak, wherever it is.
-        rows = _drawn_peaks(reduced, built, peak, dof, draws, (WIDE, 2 * STEP, WIDE))
+        rows = _drawn_peaks(reduced, built, peak, draws, (WIDE, 2 * STEP, WIDE))
     there = [row for row in rows if row is not None]
     whole = [row for row in there if row.amplification is not None]
     factors = np.array([row.amplification for row in whole], dtype=float)
     margins = [row.margin(operating) for row in whole] if operating else []
     asked = [margin for margin in margins if margin is not None and margin[1] > 0]
     return records.CriticalResult(
-        f"{dof // 4 + 1} {'yz'[dof % 4]}",
+        f"{peak.node // 4 + 1} {'yz'[peak.node % 4]}",
         peak.speed,
         _interval(peak.speed, np.array([row.speed for row in there])),
         peak.amplification,
@@ -255,12 +252,7 @@ def _critical(
 
 
 def _drawn_peaks(
-    reduced: _Reduced,
-    built: Built,
-    peak: Critical,
-    dof: int,
-    draws: FloatArray,
-    looked: tuple[float, float, float],
+    reduced: _Reduced, built: Built, peak: Critical, draws: FloatArray, looked: tuple[float, float, float]
 ) -> list[Critical | None]:
     """The nearest peak of every draw; *looked*: ln of the speeds to either side, their step, and how far a
     peak may be off.
@@ -269,9 +261,9 @@ def _drawn_peaks(
     grid = peak.speed * np.exp(np.arange(-half, half + step, step))
     rows: list[Critical | None] = []
     for values in draws:
-        acting = at_speed(reduced.model, values)
-        amplitude = reduced.amplitudes(acting, 2 * np.pi * grid, unbalance_forces(built, values), [dof])[:, 0]
-        near = [other for other in peaks(grid, amplitude) if abs(np.log(other.speed / peak.speed)) < apart]
+        amplitude = reduced.at(at_speed(reduced.model, values), unbalance_forces(built, values), peak.node)
+        found = peaks(grid, amplitude(grid), peak.node, amplitude)
+        near = [other for other in found if abs(np.log(other.speed / peak.speed)) < apart]
         rows.append(min(near, key=lambda other: abs(np.log(other.speed / peak.speed))) if near else None)
     return rows
 
@@ -297,9 +289,8 @@ def balance(
     if not settings.balance_speeds or not runs:
         return None
     speed = 2 * np.pi * np.array(settings.balance_speeds)
-    test = replace(
-        runs[0], speed=speed, added=(), measured=np.zeros((speed.size, len(runs[0].outputs)), complex)
-    )
+    nothing = np.zeros((speed.size, len(runs[0].outputs)), complex)
+    test = replace(runs[0], speed=speed, added=(), measured=nothing, changes={})
     drawn = drawn_influence(built, test, posterior.draws(settings.draws, settings.seed))
     weights = best_weights(square_of(drawn))
     before, left = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))

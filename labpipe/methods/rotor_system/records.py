@@ -8,6 +8,9 @@ from dataclasses import KW_ONLY, dataclass, field
 from labpipe.arrays import FloatArray
 from labpipe.records.finding import Finding
 
+# How unknowns of sensors begin.
+OF_SENSORS = ("gain ", "phase ", "sensor ")
+
 
 @dataclass(frozen=True)
 class UnknownResult:

@@ -10,7 +10,12 @@ from labpipe.arrays import FloatArray
 from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
-from labpipe.methods.rotor_system.records import CriticalResult, RotorSystemResult, VibrationResult
+from labpipe.methods.rotor_system.records import (
+    OF_SENSORS,
+    CriticalResult,
+    RotorSystemResult,
+    VibrationResult,
+)
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.project.judging import CompareNumber, compare_warnings
 from labpipe.project.rules import Rule
@@ -103,7 +108,7 @@ def lines(result: RotorSystemResult) -> Iterator[str]:
     """What the tests say together, in lines."""
     yield f"{result.rotor}: {len(result.tests)} tests together"
     for unknown in result.unknowns:
-        if not unknown.group and not unknown.name.startswith(("gain", "phase")):
+        if not unknown.group and not unknown.name.startswith(OF_SENSORS):
             mark = "" if unknown.told else "   (no test tells)"
             yield f"  {unknown.name:<28} {_text(unknown.value, unknown.error, unknown.unit)}{mark}"
     yield from sentences(result)
@@ -157,7 +162,7 @@ def _critical_sentence(critical: CriticalResult, operating: float) -> str:
     ends = _ends(critical.speed_interval, RPM, ".0f")
     text = f"critical speed {RPM * critical.speed:.0f} rpm (95 %: {ends}) at {critical.place}"
     if critical.amplification is None or critical.amplification_interval is None:
-        return f"{text}; no amplification factor within the speeds"
+        return f"{text}; no half-power points within the speeds"
     ends = _ends(critical.amplification_interval)
     text += f", amplification {critical.amplification:.3g} (95 %: {ends})"
     if critical.missing > 0.05:

@@ -108,8 +108,8 @@ class SystemTest(Settings):
             what = "natural frequencies are those of 'fit' or 'frequencies'"
             raise SettingError("fit", what, "one of them")
         self.require_not_negative("speed", "gain", "slow_roll")
-        if len(set(self.numbers)) < len(self.numbers) or any(n < 1 or n % 1 for n in self.numbers):
-            raise SettingError("numbers", "'numbers' are whole, from 1 on, and differ", "numbers: [1, 3]")
+        if list(self.numbers) != sorted(set(self.numbers)) or any(n < 1 or n % 1 for n in self.numbers):
+            raise SettingError("numbers", "'numbers' are whole, from 1 on, and rise", "numbers: [1, 3]")
         if self.mass is not None and not 0 < self.mass.std_error < self.mass.value:
             raise SettingError("mass", "'mass' needs its uncertainty", "mass: 33 kg +- 0.1 kg")
         self._check_texts()
@@ -122,6 +122,11 @@ class SystemTest(Settings):
                 raise SettingError(field, error.what, error.hint) from None
         if self.damping and len(self.damping) != len(self.frequencies):
             raise SettingError("damping", "'damping' has as many values as 'frequencies'")
+
+    @property
+    def has_modes(self) -> bool:
+        """Whether natural frequencies stand in it."""
+        return bool(self.fit or self.frequencies)
 
     @property
     def read_places(self) -> dict[str, tuple[int, str]]:

@@ -17,7 +17,7 @@ from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import read_entries, read_rotor
 from labpipe.methods.rotor_system.build import Pedestal, RotorSystem, linear_bearing
 from labpipe.project.marked_yaml import Marked, load_marked
-from labpipe.project.settings_reader import Faults, join, read_settings
+from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import UnitError
 from labpipe.records.settings import FileKind, Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
@@ -167,15 +167,14 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
     """
     if node is None or not isinstance(node.content, dict | list):
         return {}
-    entries = (
-        node.content.items()
-        if isinstance(node.content, dict)
-        else ((str(n), entry) for n, entry in enumerate(node.content, 1))
-    )
-    taken = {}
-    for label, entry in entries:
-        number = entry.content.get(name) if isinstance(entry.content, dict) else None
-        if number is None or not is_uncertain(number.text):
+    entries, taken = node.content, {}
+    if isinstance(entries, list):
+        entries = {str(n): entry for n, entry in enumerate(entries, 1)}
+    for label, entry in entries.items():
+        if not isinstance(entry.content, dict) or name not in entry.content:
+            continue
+        number = in_one_line(entry.content[name])
+        if not is_uncertain(number.text):
             continue
         try:
             taken[label] = parse_uncertain(number.text, unit)
@@ -268,18 +267,19 @@ def _system(
 def _sleeves(
     rig: RotorRig, node: Marked | None, taken: Mapping[str, Uncertain], default: float, faults: Faults
 ) -> dict[str, tuple[tuple[int, ...], float, float]]:
-    """Sleeves by name, their elements, ln of the stiffening and its uncertainty."""
+    """Sleeves by name, their elements, ln of the stiffening and its uncertainty: the *default* where no
+    sleeve of that name states one.
+    """
     sleeves: dict[str, tuple[tuple[int, ...], float, float]] = {}
     for number, (entry, ring) in enumerate(zip(_listing(node), rig.rotor.sleeves, strict=True), 1):
         name = entry.content["name"].text if "name" in entry.content else str(number)
-        error = _relative(taken.get(str(number))) or default
-        mean = float(np.log(ring.stiffening))
-        elements, other, before = sleeves.get(name, ((), mean, 0.0))
-        if other != mean:
+        mean, error = float(np.log(ring.stiffening)), _relative(taken.get(str(number)))
+        elements, other, before = sleeves.get(name, ((), mean, error))
+        if other != mean or (error and before and not np.isclose(error, before)):
             what = f"a second stiffening of sleeves '{name}'"
             faults.add(entry, "sleeves", what, "sleeves of one name have one")
-        sleeves[name] = ((*elements, ring.element), mean, max(error, before))
-    return sleeves
+        sleeves[name] = ((*elements, ring.element), mean, error or before)
+    return {name: (elements, mean, error or default) for name, (elements, mean, error) in sleeves.items()}
 
 
 ROTOR_SYSTEM_FILE = FileKind(load_system)

@@ -12,12 +12,12 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import SettingError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.settings import Settings, quantity, setting
-from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
+from labpipe.simulate.virtual_rigs import LoggedTable, kind_of_recordings, whole_numbers
 
 KIND = "virtual-rotor-rig"
 # The rotor on strings; shaken at rest in y, and in z; run up.
@@ -63,12 +63,25 @@ class RotorTestRig(Settings):
             raise SettingError("spacing", f"a period of {n:.6g} samples is no whole number of them")
         if self.periods < 2:
             raise SettingError("periods", "at least two periods are needed")
-        if any(node % 1 for node in (*self.accelerations, *self.probes)):
-            raise SettingError("probes", "nodes are whole numbers")
-        if np.ceil(self.band[0] / self.spacing - 1e-9) > np.floor(self.band[1] / self.spacing + 1e-9):
-            raise SettingError("band", f"no line every {self.spacing:g} Hz lies in the band")
+        if not self.lines.size or self.lines[0] < 1:
+            raise SettingError("band", f"no line every {self.spacing:g} Hz, or one at 0 Hz, lies in the band")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
             raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
+        self._check_nodes(np.inf if self.system is None else self.system.rig.rotor.n_node)
+
+    def _check_nodes(self, last: float) -> None:
+        places = {"force": [self.force], "accelerations": self.accelerations, "probes": self.probes}
+        for name, nodes in places.items():
+            if len(set(nodes)) < max(len(nodes), 1) or any(
+                node % 1 or not 1 <= node <= last for node in nodes
+            ):
+                raise SettingError(name, f"'{name}': whole numbers of nodes, from 1 to {last:g}, each once")
+
+    @property
+    def lines(self) -> FloatArray:
+        """Numbers (n_line,) [1] of the excited lines."""
+        low, high = self.band
+        return np.arange(np.ceil(low / self.spacing - 1e-9), np.floor(high / self.spacing + 1e-9) + 1)
 
 
 @dataclass(frozen=True)
@@ -80,7 +93,7 @@ class World:
     built: Built
     values: FloatArray
 
-    def nodes(self, names: Sequence[float]) -> list[int]:
+    def dofs(self, names: Sequence[float]) -> list[int]:
         return [dof for node in names for dof in self.system.rig.rotor.dofs(int(node))]
 
 
@@ -97,24 +110,20 @@ def world_of(rig: RotorTestRig) -> World:
 def true_values(rig: RotorTestRig) -> dict[str, float]:
     """The unknowns by name: logarithms of factors, and amounts in their units."""
     world = world_of(rig)
-    unknowns = zip(world.built.model.unknowns, world.values.tolist(), strict=True)
-    return {unknown.name: value for unknown, value in unknowns}
-
-
-def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
-    """A run of the rig: a shaken one is in its steady state, a run-up is quasi-steady."""
-    world = world_of(rig)
-    return _run_up(world, rng) if name == RUN_UP else _shaken(world, name, rng)
+    names = (unknown.name for unknown in world.built.model.unknowns)
+    return dict(zip(names, world.values.tolist(), strict=True))
 
 
 def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     """Random-phase multisine at one node in y or z; free on strings, or in the bearings."""
-    rig, model = world.rig, world.built.model
-    low, high = rig.band
-    lines = np.arange(np.ceil(low / rig.spacing - 1e-9), np.floor(high / rig.spacing + 1e-9) + 1)
+    rig, model, lines = world.rig, world.built.model, world.rig.lines
+    if name != FREE and any(place.is_film for place in world.system.rig.bearings):
+        raise ConfigError(
+            f"the rotor rests in run '{name}', where no oil film carries it", hint=f"--run {FREE}"
+        )
     n = round(rig.sample_rate / rig.spacing)
     force = rig.amplitude * np.exp(2j * np.pi * rng.random(lines.size))
-    outputs = world.nodes(rig.accelerations)
+    outputs = world.dofs(rig.accelerations)
     driven = world.system.rig.rotor.dofs(rig.force)[name == SHAKEN[1]]
     values = np.where(model.acting(name), world.values, 0.0)
     omega = 2 * np.pi * lines * rig.spacing
@@ -125,21 +134,20 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     whole[lines.astype(int)] = np.column_stack([force, acceleration]) * n / 2
     period = np.fft.irfft(whole, n, axis=0)
     samples = np.tile(period, (rig.periods, 1))
-    noise = np.array([rig.force_noise, *[rig.acceleration_noise] * len(outputs)])
-    samples = samples + noise * rng.standard_normal(samples.shape)
+    noise = [rig.force_noise, *[rig.acceleration_noise] * len(outputs)]
     dof = f"{rig.force}{'z' if name == SHAKEN[1] else 'y'}"
+    places = [f"{int(node)}{axis}" for node in rig.accelerations for axis in "yz"]
     channels = [Channel("f", "force", "input", dof)]
-    channels += [
-        Channel(f"a{int(node)}{axis}", "acceleration", "output", f"{int(node)}{axis}")
-        for node in rig.accelerations
-        for axis in "yz"
-    ]
+    channels += [Channel(f"a{place}", "acceleration", "output", place) for place in places]
+    samples = samples + rng.standard_normal(samples.shape) * noise
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 
-def _run_up(world: World, rng: np.random.Generator) -> Recording:
+def _run_up(world: World, name: str, rng: np.random.Generator) -> Recording:
     """y(t) = Re(z(Omega(t)) exp(j phi(t))), a pulse of the tacho at every whole turn."""
-    rig, built, outputs = world.rig, world.built, world.nodes(world.rig.probes)
+    rig, built, outputs = world.rig, world.built, world.dofs(world.rig.probes)
+    if not built.planes:
+        raise ConfigError("nothing excites the run-up", hint="unbalances of the rotor file, or other runs")
     low, high = (2 * np.pi * end for end in rig.speeds)
     time = np.arange(round(rig.duration * rig.sample_rate)) / rig.sample_rate
     rate = (high - low) / rig.duration
@@ -168,38 +176,31 @@ def _run_up(world: World, rng: np.random.Generator) -> Recording:
         for node in rig.probes
         for axis in "xy"
     ]
-    return Recording(tuple(channels), np.column_stack([tacho, motion]), rig.sample_rate, RUN_UP)
+    return Recording(tuple(channels), np.column_stack([tacho, motion]), rig.sample_rate, name)
 
 
-def rotor_runs(rig: RotorTestRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:
-    """The named runs."""
-    return tuple(record(rig, name, generator(seed, name)) for name in names)
+def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
+    """A run of the rig: a shaken one is in its steady state, a run-up is quasi-steady."""
+    return (_run_up if name == RUN_UP else _shaken)(world_of(rig), name, rng)
 
 
-def _simulate(rig: RotorTestRig, seed: int, runs: Sequence[str]) -> Simulation:
+def _logged(run: Recording) -> LoggedTable:
     # As loggers of 16 bits store them: in steps of 50 nm and 10 mm/s^2.
     steps = {"displacement": 50, "acceleration": 10}
-    files = {
-        run.name: whole_numbers(
-            run,
-            {"tacho": ("mV", 1e3)},
-            {channel.name: steps.get(channel.quantity, 1) for channel in run.channels},
-        )
-        for run in rotor_runs(rig, seed, runs)
-    }
-    return Simulation(files, {"truth": true_values(rig)})
+    by_channel = {channel.name: steps.get(channel.quantity, 1) for channel in run.channels}
+    return whole_numbers(run, {"tacho": ("mV", 1e3)}, by_channel)
 
 
-ROTOR_RIG = VirtualRigKind(
-    settings=RotorTestRig,
+ROTOR_RIG = kind_of_recordings(
+    RotorTestRig,
     runs=lambda _rig: RUNS,
-    simulate=_simulate,
-    parameters=lambda rig, _runs: true_values(rig),
+    record=record,
+    logged=_logged,
+    truth=true_values,
     noisy=lambda rig, level: replace(
         rig,
         acceleration_noise=level * rig.acceleration_noise,
         force_noise=level * rig.force_noise,
         probe_noise=level * rig.probe_noise,
     ),
-    recordings=rotor_runs,
 )

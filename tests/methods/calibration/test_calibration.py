@@ -70,6 +70,28 @@ def test_a_bend_is_found_and_a_straight_line_is_not(rng: np.random.Generator) ->
         assert [finding.code for finding in fit.findings] == codes
 
 
+def test_a_line_forced_through_zero_says_where_the_points_miss_it() -> None:
+    """Points on y = 2 x + 1 but for .01: 8 % of their range off the line through zero, by scipy's F of two
+    nested models; and two values, each set three times, tell no bend, but a slope as linregress has it.
+    """
+    x = np.arange(7.0)
+    y = 2 * x + 1 + 0.01 * (-1) ** x
+    fit = line_fit("gain", "", fit_line(x, y, through_origin=True), ("N/V", "N"), x, y)
+    (finding,) = fit.findings
+    left, least = (
+        float(np.sum((y - c @ np.linalg.lstsq(c, y)[0]) ** 2)) for c in (x[:, None], np.vander(x, 3))
+    )
+    p_value = stats.f.sf((left / least - 1) * 4 / 2, 2, 4)
+    assert f"p = {p_value:.2g} for a straight line through zero" in finding.message
+    through = 2 * x + 0.01 * (-1) ** x
+    assert not line_fit("g", "", fit_line(x, through, through_origin=True), ("1", "1"), x, through).findings
+    x = np.repeat([0.0, 1.0], 3)
+    y = np.array([0.1, -0.1, 0.0, 2.1, 1.9, 2.2])
+    fit = line_fit("gain", "", fit_line(x, y), ("N/V", "N"), x, y)
+    assert fit.parameter("slope").value == pytest.approx(stats.linregress(x, y).slope)
+    assert not fit.findings
+
+
 def test_what_makes_no_line() -> None:
     with pytest.raises(FitError, match="2 points cannot determine"):
         fit_line(np.array([0.0, 1.0]), np.array([0.0, 1.0]))

@@ -17,7 +17,7 @@ from labpipe.methods.rotor.section import (
     node_positions,
     rotor_figure,
     rotor_figures,
-    rotor_sketch,
+    rotor_rings,
     shaft_diameter,
 )
 from labpipe.methods.rotor.shaft import ALUMINIUM, Disc
@@ -37,7 +37,7 @@ def entries(name: str) -> dict[str, Any]:
 
 def boxes(name: str, label: str) -> list[tuple[float, float, float, float]]:
     """(left, bottom, width, height) [mm] of the drawn boxes of one kind."""
-    chosen = [ring for ring in rotor_sketch(entries(name)).rings if ring.part == label]
+    chosen = [ring for ring in rotor_rings(entries(name)) if ring.part == label]
     return [(ring.left, bottom, ring.length, height) for ring in chosen for bottom, height in ring.boxes]
 
 

@@ -36,6 +36,23 @@ def test_peak_and_amplification_of_one_mass():
     assert peaks(speed[:300], response[:300]) == []
 
 
+@pytest.mark.parametrize("zeta", [1e-4, 1e-6])
+def test_a_peak_that_is_sharper_than_the_speeds_is_found(zeta):
+    """Half-power width 2 zeta, 1 / 50 and 1 / 5000 of the speeds' distance: the same closed form."""
+
+    def response(speed):
+        return 1 / np.abs(100.0**2 - speed**2 + 2j * zeta * 100.0 * speed)
+
+    speed = np.linspace(80, 120.5, 80)
+    (critical,) = peaks(speed, response(speed), 0, response)
+    assert critical.amplification == pytest.approx(1 / (2 * zeta), rel=1e-4)
+    assert critical.amplitude == pytest.approx(1 / (2 * zeta * 100.0**2), rel=1e-4)
+    # Two of them, as of bearings that differ in y and z, stay apart; flat ones so near are one.
+    assert not critical.is_like(replace(critical, speed=1.02 * critical.speed))
+    flat = replace(critical, low=0.95 * critical.speed, high=1.05 * critical.speed)
+    assert flat.is_like(replace(flat, speed=1.02 * flat.speed))
+
+
 @pytest.mark.parametrize(
     ("amplification", "below", "above"),
     [(2.0, 0.0, 0.0), (4.0, 10.2, 20.2), (8.0, 17 * 5.5 / 6.5, 10 + 17 * 5.5 / 6.5), (25.0, 16.0, 26.0)],

@@ -153,7 +153,7 @@ def test_two_sleeves_on_one_element_and_one_damping_in_both_directions() -> None
     shaft = Rotor(tuple(ShaftElement(0.1, 0.04, STEEL) for _ in range(2)))
     places = tuple(BearingPlace(str(node), node, None, "linear-bearing") for node in (1, 3))  # type: ignore[arg-type]
     damping, errors = np.array([[9e3, 1e3], [0.0, 9e3]]), np.array([[0.2, 200.0], [0.0, 0.2]])
-    bearing = LinearBearing(1e6 * np.eye(2), damping, np.zeros((2, 2)), errors, True)
+    bearing = LinearBearing(1e6 * np.eye(2), damping, np.zeros((2, 2)), errors, "c")
     sleeves = {"A": ((1,), 0.2, 0.1), "B": ((1,), 0.3, 0.1)}
     rig = RotorRig("small", shaft, speed=50.0, bearings=places)
     system = RotorSystem(rig, sleeves=sleeves, linear={"1": bearing, "3": bearing})

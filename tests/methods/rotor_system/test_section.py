@@ -16,13 +16,26 @@ import yaml
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
 from labpipe.methods.rotor_system.build import Sensors, SmallErrors, build
-from labpipe.methods.rotor_system.evaluate import _modes, _result
-from labpipe.methods.rotor_system.posterior import fit_system
+from labpipe.methods.rotor_system.evaluate import (
+    _evidence,
+    _explanations,
+    _measured,
+    _modes,
+    _result,
+    _sensors,
+)
+from labpipe.methods.rotor_system.model import Unknown
+from labpipe.methods.rotor_system.posterior import Explanation, SystemPosterior, fit_system
 from labpipe.methods.rotor_system.settings import SystemTest
 from labpipe.methods.rotor_system.system_file import load_system
-from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig
+from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, record
+from labpipe.methods.run_ups.records import ProbeError, RunUp
+from labpipe.methods.run_ups.settings import RunSettings
+from labpipe.project.exports import parameter_table
 from labpipe.project.work import Work
-from tests.methods.rotor_system.two_discs import system
+from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
+from tests.methods.rotor_system.two_discs import OIL, system
 
 ROOT = Path(__file__).parents[3]
 # Of a rotor as declared: its interval is many times wider than they can move it.
@@ -97,6 +110,9 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
         assert words in page
     assert found.sections["rotor_system"].measured == tuple((0.0, f) for f in (44, 60, 80, 95, 105))
     assert "squares: what tests in the bearings measured" in page and "amplitude there [um]" in page
+    # Exported as well, where every number has its row.
+    table = parameter_table(folder / "out/identification.json")
+    assert table[table.fit == "rotor_system"].value.tolist() == found.to_frame().value.tolist()
     frame = found.to_frame()
     assert {"young", "least_decrement", "onset"} <= set(frame[frame.fit == "rotor_system"].parameter)
 
@@ -213,6 +229,11 @@ def test_faults_are_said_at_their_place(tmp_path: Path, labpipe, change: dict, w
             "a second stiffening of sleeves 'A'",
         ),
         (
+            "sleeves: [{element: 4, outer_diameter: 50 mm, stiffening: 1.2 +- 30 %, name: A}, "
+            "{element: 5, outer_diameter: 50 mm, stiffening: 1.2 +- 10 %, name: A}]",
+            "a second stiffening of sleeves 'A'",
+        ),
+        (
             "discs: [{node: 5, mass: 12 kg +- 3 % (source=scale), transverse_inertia: 0.06 kg.m^2, "
             "polar_inertia: 0.11 kg.m^2}, {node: 10, mass: 9 kg +- 3 % (source=scale), "
             "transverse_inertia: 0.04 kg.m^2, polar_inertia: 0.07 kg.m^2}]",
@@ -264,6 +285,7 @@ rotor_system:
     [
         ("[0, 1]", "'numbers' are whole, from 1 on"),
         ("[1, 2.5]", "'numbers' are whole, from 1 on"),
+        ("[2, 1]", "'numbers' are whole, from 1 on, and rise"),
         ("[1, 99]", "bending modes, not 99"),
     ],
 )
@@ -283,6 +305,27 @@ def test_two_unbalances_on_a_node_are_one(tmp_path: Path) -> None:
     (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
     ((node, mean, error),) = load_system(tmp_path / "rotor.yaml").unbalances
     assert (node, mean, error) == (5, pytest.approx(1e-4 + 1e-4j), pytest.approx(5e-5))
+
+
+def test_what_a_rotor_file_states_is_not_what_it_estimates(tmp_path: Path) -> None:
+    """A mass in its long form, limits of .9 kg: .9 / sqrt(3) kg. A sleeve of two rings, one of which states
+    its stiffening to 10 %, does not get the usual 30 % by `estimate`. One k_yy in both directions
+    is one unknown, as c is.
+    """
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    whole["discs"][0]["mass"] = {"value": "12 kg", "limits": "0.9 kg"}
+    ring = {"element": 4, "outer_diameter": "50 mm", "stiffening": "1.35", "name": "A"}
+    whole["sleeves"] = [ring | {"stiffening": "1.35 +- 10 %"}, ring | {"element": 5}, ring | {"name": "B"}]
+    whole["estimate"] = ["sleeves"]
+    whole["bearings"][0].pop("k_zz")
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
+    found = load_system(tmp_path / "rotor.yaml")
+    names = [unknown.name for unknown in build(found, SURE, {}).model.unknowns]
+    assert [name for name in names if "left" in name or "right k" in name] == [
+        *("left k_yy", "left c", "pedestal left k", "right k_yy", "right k_zz", "pedestal right k")
+    ]
+    assert found.masses == pytest.approx((0.9 / math.sqrt(3) / 12, 0.03))
+    assert [error for _, _, error in found.sleeves.values()] == pytest.approx([0.1, 0.3])
 
 
 def test_pedestals_that_are_known_are_nothing_unknown(tmp_path: Path, labpipe) -> None:
@@ -310,7 +353,7 @@ def test_a_decrement_that_is_known_is_above_its_limit_or_is_not() -> None:
         damped = replace(of, rig=replace(of.rig, rotor=replace(of.rig.rotor, alpha=alpha)))
         built = build(damped, SmallErrors(0, 0, 0, 0, 0, 0), {"t": Sensors(("a",), 0.01)})
         posterior = fit_system(built.model, [], estimate_sizes=False)
-        found = _result(damped, built, posterior, np.array([40.0, 41.0]), {}, 20, 1)
+        found = _result(damped, built, posterior, np.array([40.0, 41.0]), 20, 1)
         assert found.decrement[1:] == (0.0, probability) and (found.decrement[0] > 0.1) == bool(probability)
 
 
@@ -320,7 +363,7 @@ def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:
     posterior = fit_system(built.model, [], estimate_sizes=False)
     for speed in (0.0, 100.0):
         rig = replace(of.rig, speed=speed)
-        found = _result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), {}, 2, 1)
+        found = _result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), 2, 1)
         assert all((critical.margin is None) == (not speed) for critical in found.criticals)
     assert found.criticals
 
@@ -404,15 +447,33 @@ def test_a_rotor_in_oil_films_by_theory(tmp_path: Path, labpipe, monkeypatch) ->
 @pytest.mark.parametrize(
     ("probes", "band", "said"),
     [
-        ((3.5,), (10.0, 300.0), "nodes are whole numbers"),
-        ((3.0,), (10.2, 10.8), "no line every 1 Hz lies in the band"),
+        ((3.5,), (10.0, 300.0), "whole numbers of nodes"),
+        ((), (10.0, 300.0), "'probes': whole numbers of nodes"),
+        ((3.0, 3.0), (10.0, 300.0), "each once"),
+        ((14.0,), (10.0, 300.0), "from 1 to 13"),
+        ((3.0,), (10.2, 10.8), "no line every 1 Hz, or one at 0 Hz, lies in the band"),
+        ((3.0,), (0.0, 300.0), "or one at 0 Hz"),
     ],
 )
 def test_a_virtual_rotor_that_cannot_be_tested_is_refused(
     probes: tuple[float, ...], band: tuple[float, float], said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band)
+        RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), probes, (5.0, 50.0), band=band, system=system())
+
+
+def test_runs_that_a_virtual_rotor_has_not(tmp_path: Path) -> None:
+    """No film carries it at rest, and nothing drives a run-up without an unbalance."""
+    own = system()
+    rig = RotorTestRig(KIND, "rotor.yaml", 3, (3.0,), (3.0,), (5.0, 50.0), system=replace(own, unbalances=()))
+    with pytest.raises(ConfigError, match="nothing excites the run-up"):
+        record(rig, "run-up", np.random.default_rng(0))
+    whole = yaml.safe_load((ROOT / "configs/rotors/two-discs.yaml").read_text())
+    whole["bearings"][0] = yaml.safe_load(OIL.format("left", 2))
+    (tmp_path / "rotor.yaml").write_text(yaml.safe_dump(whole))
+    rig = replace(rig, system=load_system(tmp_path / "rotor.yaml"))
+    with pytest.raises(ConfigError, match="the rotor rests in run 'shaken-y', where no oil film carries it"):
+        record(rig, "shaken-y", np.random.default_rng(0))
 
 
 def test_a_period_of_a_virtual_rotor_is_whole() -> None:
@@ -431,3 +492,100 @@ def test_a_report_that_cannot_be_drawn_leaves_nothing(tmp_path: Path, labpipe) -
         tmp_path / "r.docx",
     )
     assert ended.code == 2 and not list(tmp_path.iterdir())
+
+
+# Its disc, on which it is shaken and balanced, has 12 of 31.7 kg; nothing is in doubt but what a test adds.
+PLAIN = """speed: 4200 rpm
+elements: [{length: 200 mm, diameter: 40 mm, count: 10}]
+discs: [{node: 6, mass: 12 kg +- 3 %, transverse_inertia: 0.06 kg.m^2, polar_inertia: 0.11 kg.m^2}]
+bearings:
+  - {kind: linear-bearing, name: left, node: 1, k_yy: 8 MN/m, c: 12 kN.s/m}
+  - {kind: linear-bearing, name: right, node: 11, k_yy: 8 MN/m, c: 12 kN.s/m}
+unbalances: [{node: 6, size: 0 g.mm +- 200 g.mm}]
+"""
+SURE = SmallErrors(elements=0, inertia=0, bearings=0, apparent_mass=0, phase=0)
+
+
+def error_by(folder: Path, test: SystemTest, reading, name: str) -> tuple[float, float, float]:
+    """Value and standard error of an unknown by one test, chi-square over the number of its data."""
+    (folder / "rotor.yaml").write_text(PLAIN)
+    own = load_system(folder / "rotor.yaml")
+    built = build(own, SURE, {test.name: _sensors(test, reading)})
+    found = fit_system(built.model, [_evidence(test, built, own, cast(Work, None), reading)])
+    at = built.model.number(name)
+    return float(found.values[at]), float(found.standard_errors[at]), found.chi2[test.name][1]
+
+
+def calibrated(effect: str, size: float, source: str) -> tuple[ChannelUncertainty, ...]:
+    return (ChannelUncertainty(effect, Uncertainty(source, size, "1")),)
+
+
+@pytest.mark.parametrize("form", ["receptance", "accelerance"])
+def test_what_a_rig_file_states_of_its_sensors_counts(tmp_path: Path, form: str) -> None:
+    """Far below its first bending mode a free rotor is 1 / (-m w^2): a force known to 5 % tells its mass m to
+    5 %, beside the 3 % of the disc's m_d: u = (1 / .03^2 + (m_d / m)^2 / .05^2)^-1/2 of ln m_d. Lines that
+    share a quarter of their noise are fewer: 1 + 2 / 4 (n - 1) / n of n lines have that of one.
+    """
+    frequency = np.arange(2.0, 4.0, 0.25)
+    (tmp_path / "rotor.yaml").write_text(PLAIN)
+    model = build(load_system(tmp_path / "rotor.yaml"), SURE, {}).model
+    omega, force = 2 * np.pi * frequency, np.eye(model.n_dof)[:, [20]]
+    matrix, _, _ = model.response(model.means, 0 * omega, omega, force, [20], supported=False)
+    matrix = matrix * (1.0 if form == "receptance" else -(omega[:, None, None] ** 2))
+    variance = 2e-6 * np.abs(matrix) ** 2
+    measured = FrequencyResponse(
+        frequency, matrix, (Port("6y", "a", "6y"),), (Port("6y", "f", "6y"),), form=form,
+        covariance=uncorrelated(variance), line_correlation=(0.25,),
+    )  # fmt: skip
+    test = SystemTest(name="free", kind="response", test="free", free=True)
+    mass = float(model.matrices(model.means, 0.0, supported=False).mass[0::4, 0::4].sum())
+    part, told = 12 / mass, 0.03**-2
+    lines = 8 / (1 + 0.5 * 7 / 8)
+    _, error, n = error_by(tmp_path, test, _measured(test, measured), "mass of disc 1")
+    # Two parts of every line, 1e-3 each.
+    assert error == pytest.approx((told + (part / 1e-3) ** 2 * lines) ** -0.5, rel=0.02)
+    assert n == round(2 * lines)
+    stated = replace(measured, inputs=(Port("6y", "f", "6y", None, calibrated("gain", 0.05, "force")),))
+    _, error, _ = error_by(tmp_path, test, _measured(test, stated), "mass of disc 1")
+    assert error == pytest.approx((told + part**2 / (0.05**2 + 1e-6 / lines)) ** -0.5, rel=0.02)
+
+
+@pytest.mark.filterwarnings("error")
+def test_causes_beyond_all_numbers_are_told_without_one() -> None:
+    """e^4000 is none; 1.5 times what was declared is."""
+    said = SimpleNamespace(model=SimpleNamespace(unknowns=[Unknown("young", 0.02), Unknown("internal", 0.7)]))
+    causes = [Explanation(90.0, 4000.0, "hammer", 1), Explanation(40.0, math.log(1.5), "run", 0)]
+    text = (
+        "chi-square falls by 90 with another internal in test 'hammer', by 40 with young of 1.5 in test 'run'"
+    )
+    assert _explanations(cast(SystemPosterior, said), causes) == text
+
+
+def test_probes_of_one_calibrator_err_together(tmp_path: Path) -> None:
+    """A rotor of known bearings has the unbalance that its vectors ask for, to their gain: 10 % of one
+    calibrator for both probes, beside noise of 1 % of each of 4 vectors and .02 rad of the keyphasor.
+    """
+    (tmp_path / "rotor.yaml").write_text(
+        PLAIN.replace("12 kg +- 3 %", "12 kg").replace("0 g.mm", "50 g.mm", 1)
+    )
+    own = load_system(tmp_path / "rotor.yaml")
+    built = build(own, SURE, {})
+    speed, forces = np.array([60.0, 70.0]), predictions.unbalance_forces(built, built.model.means)
+    motion, _, _ = built.model.response(
+        built.model.means, speed, speed, speed[:, None, None] ** 2 * forces[:, None], [20, 21]
+    )
+    vectors = motion.reshape(2, 1, 2)
+    size, matrix = np.abs(vectors), -np.eye(2, dtype=complex)[None]
+    run = RunUp(
+        "run", 300.0, speed, ("node 6",), vectors, unbalance={"node 6": 0j},
+        amplitude_error=0.01 * size, phase_error=np.full_like(size, 0.01),
+        uncertainties=(
+            ProbeError(Uncertainty("calibrator", 0.1, "1"), matrix),
+            ProbeError(Uncertainty("keyphasor", 0.02, "rad"), 1j * matrix),
+        ),
+    )  # fmt: skip
+    test = SystemTest(name="run", kind="run-up", axes="horizontal", run=RunSettings(file="r.csv"))
+    for name, part in (("unbalance 6 re", 0.1), ("unbalance 6 im", 0.02)):
+        value, error, _ = error_by(tmp_path, test, run, name)
+        assert value == pytest.approx(5e-5 if name.endswith("re") else 0, abs=5e-8)
+        assert error == pytest.approx(5e-5 * np.hypot(part, 0.01 / 2), rel=0.03)
