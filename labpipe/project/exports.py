@@ -32,9 +32,9 @@ from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.raw_files.mat import write_frf_mat, write_recording_mat
 from labpipe.raw_files.uff_write import write_frf_uff, write_recording_uff, write_shapes_uff
 from labpipe.records.comparison import Study
-from labpipe.records.finding import WARNING, Parameter, of_level
+from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, RobustPlant
-from labpipe.records.identification import Fit, Identification, RuleOutcome
+from labpipe.records.identification import Fit, Identification, RuleOutcome, listed_parameters
 from labpipe.registry import Registry
 from labpipe.uncertainty.amounts import random_error
 
@@ -115,7 +115,11 @@ def result_of(artefact: Path, what: str) -> Identification:
     """The result of a file; DataError that says *what* any other artefact lacks."""
     if artefact.suffix != ".json":
         raise DataError(what, artefact, "name an identification.json, which has it")
-    return read_identification(artefact)
+    identification = read_identification(artefact)
+    if identification.dataset is not None:
+        hint = f"`labpipe list {artefact.parent} -p '*' --csv FILE` writes its parameters"
+        raise DataError("keeps its numbers in a dataset beside it", artefact, hint)
+    return identification
 
 
 def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
@@ -199,24 +203,17 @@ def spectra_table(artefact: Path) -> pd.DataFrame:
 
 
 def parameter_table(artefact: Path) -> pd.DataFrame:
-    """One row per fit and parameter."""
-    rows = [
-        {
-            "fit": fit.name,
-            "test": fit.test,
-            "term": fit.term,
-            "centre_hz": fit.centre_hz,
-            "parameter": parameter.name,
-            "value": parameter.value,
-            "unit": parameter.unit,
-            "std_error": parameter.full_error,
-            "ci95_low": parameter.ci95[0] if parameter.ci95 else None,
-            "ci95_high": parameter.ci95[1] if parameter.ci95 else None,
-            "warnings": " ".join(finding.code for finding in of_level(WARNING, fit.findings)),
-        }
-        for fit in read_identification(artefact).fits
-        for parameter in fit.parameters
-    ]
+    """One row per parameter of the fits and of all other sections; DataError where there is none."""
+    rows = []
+    for listed in listed_parameters(result_of(artefact, "holds no parameters")):
+        parameter, (low, high) = listed.parameter, listed.band_hz
+        row = {name: getattr(listed, name) for name in ("fit", "test", "term")}
+        row |= {"centre_hz": (low + high) / 2 if high else None, "parameter": parameter.name}
+        row |= {"value": parameter.value, "unit": parameter.unit, "std_error": parameter.full_error}
+        row |= dict(zip(("ci95_low", "ci95_high"), parameter.ci95 or (None, None), strict=True))
+        rows.append({**row, "warnings": " ".join(listed.warnings)})
+    if not rows:
+        raise DataError("holds no parameters", artefact)
     return pd.DataFrame(rows)
 
 

@@ -22,7 +22,7 @@ from labpipe.report.chart import Chart, stack
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
 from labpipe.report.fits import blocks_of_details
-from labpipe.report.wording import few, fit_title, legible
+from labpipe.report.wording import few, fit_title, legible, meaning
 
 # What rules without limits decide by, since ISO/IEC 17025, 7.8.6, asks for it to be stated.
 SIMPLE_ACCEPTANCE = "without limits: simple acceptance, the value alone is compared"
@@ -95,15 +95,6 @@ def _global(decision: RuleDecision) -> str:
 
 DATES = ("date", "recorded", "day")
 MOST_CONDITIONS, MOST_VALUES = 6, 8
-# Coefficients by the first part of their names, in words.
-MEANINGS = {
-    "k": "stiffness",
-    "c": "damping",
-    "m": "mass",
-    "f": "natural frequency",
-    "zeta": "damping ratio",
-    "eta": "loss factor",
-}
 # Rows of the first page, and elements of a response that one figure of it shows.
 MOST_RESULTS, MOST_ELEMENTS = 18, 4
 # Height of that figure [in], alone and with phase and residual, which stand above so many rows in all.
@@ -161,7 +152,7 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
     rows = [
         (
             fit_title(fit) if number == 0 and len(fits) > 1 else "",
-            f"{MEANINGS.get(parameter.name.partition('_')[0], '')} {parameter.name}".lstrip(),
+            f"{meaning(parameter)} {parameter.name}".lstrip(),
             *_in_print(parameter),
             parameter.reason,
         )
