@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
 from labpipe.quantities import to_display
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import (
     Fit,
     FittedCurve,
@@ -153,7 +153,7 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
         (
             fit_title(fit) if number == 0 and len(fits) > 1 else "",
             f"{meaning(parameter)} {parameter.name}".lstrip(),
-            *_in_print(parameter),
+            *_in_print(parameter, bool(of_level(WARNING, fit.findings))),
             parameter.reason,
         )
         for fit in fits
@@ -195,10 +195,11 @@ def _single_fits(identification: Identification) -> list[Fit]:
     return [fit for fit in single if not of_points(fit.model)]
 
 
-def _in_print(parameter: Parameter) -> tuple[str, str]:
+def _in_print(parameter: Parameter, has_warnings: bool) -> tuple[str, str]:
     if parameter.ci95 is None:
         unit = shown_unit(parameter.unit, parameter.value)
-        why = "at the end of its range" if parameter.at_bound else "no interval, see the warnings"
+        none = "no interval, see the warnings" if has_warnings else "no interval"
+        why = "at the end of its range" if parameter.at_bound else none
         return f"{with_error(to_display(parameter.value, unit), None, legible(unit))} ({why})", ""
     low, high = parameter.ci95
     half = (high - low) / 2

@@ -250,6 +250,10 @@ def test_the_first_page_says_each_number_as_it_is_written_by_hand() -> None:
         ("", "damping ratio zeta", "0 (at the end of its range)"),
         ("other, test 427N", "stiffness k", "45.200 ± 0.063 kN/m"),
     ]
+    without = replace(FIT, parameters=(replace(K, ci95=None),))
+    for found, why in (((), "no interval"), ((Finding("gap", "x"),), "no interval, see the warnings")):
+        (shown,) = result_blocks(replace(RESULT, fits=(replace(without, findings=found),)))
+        assert isinstance(shown, Table) and shown.rows[0][1] == f"45.2 kN/m ({why})"
     assert tables[0].rows[1][4] == "other modes"
 
 
