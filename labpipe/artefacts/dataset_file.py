@@ -194,6 +194,7 @@ def _columns(table: pa.Table) -> Iterator[dataset.TestColumns]:
         groups.setdefault(tuple(key.values()), []).append(row)
     for (fit, term, parameter, unit, low_hz, high_hz), rows in groups.items():
         group = table.take(rows)
+        has_bands = sum(key[:4] == (fit, term, parameter, unit) for key in groups) > 1
         yield dataset.TestColumns(
             str(fit),
             str(term),
@@ -206,7 +207,7 @@ def _columns(table: pa.Table) -> Iterator[dataset.TestColumns]:
             low=_numbers(group, "ci_low"),
             high=_numbers(group, "ci_high"),
             amounts=dict(_amounts(group)),
-            band_hz=(float(str(low_hz)), float(str(high_hz))),
+            band=f"{low_hz:g}-{high_hz:g} Hz" if has_bands else "",
         )
 
 

@@ -55,7 +55,10 @@ def read_fit(entry: dict[str, Any]) -> Fit:
     fit: Fit = json_file.record_of({**entry, "findings": findings_of(entry)}, Fit)
     kinds = ((key, DETAILS.load(key)) for key in DETAILS.names() if entry.get(key) is not None)
     return dataclasses.replace(
-        fit, details=tuple(json_file.record_of(entry[key], kind.record) for key, kind in kinds)
+        fit,
+        # Of no estimate it is an empty list.
+        correlation=fit.correlation.reshape(2 * (len(fit.correlation),)),
+        details=tuple(json_file.record_of(entry[key], kind.record) for key, kind in kinds),
     )
 
 
@@ -279,8 +282,8 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
     for entry, shown in zip(rules, texts, strict=True):
         decision = json_file.record_of(entry, RuleDecision) if "outcome" in entry else None
-        rule = entry["rule"], entry["value"], entry["passed"]
-        outcomes.append(RuleOutcome(key, *rule, shown=shown, decision=decision))
+        outcome = json_file.record_of({**entry, "section": key, "shown": shown}, RuleOutcome)
+        outcomes.append(dataclasses.replace(outcome, decision=decision))
     return outcomes
 
 

@@ -14,13 +14,13 @@ from labpipe.artefacts.writing import show as shown_path
 from labpipe.artefacts.writing import write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
-from labpipe.display import difference_in, number, shown_unit, unit_label, with_error, written
+from labpipe.display import difference_in, shown_unit, unit_label, with_error, written
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project import catalogue_search
 from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
-from labpipe.records.identification import ListedParameter, of_fit
+from labpipe.records.identification import ListedParameter, listed_parameters
 from labpipe.registry import nearest
 
 
@@ -150,7 +150,8 @@ def _echo_series(series: catalogue_search.Series) -> None:
     for x, row in zip(series.condition, series.rows, strict=True):
         mark = "out of control" if id(row) in outside else row.warnings
         cells = value_cells(row.value, row.std_error, row.unit, shown)
-        rows.append((f"  {x:g} {series.condition_unit}", *cells, row.label, row.date, mark))
+        place = f"  {x:g} {unit_label(series.condition_unit)}".rstrip()
+        rows.append((place, *cells, row.label, row.date, mark))
     header = (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", "")
     echo_table(header, rows, right=(1, 2))
     echo(f"  {_slope(series)}")
@@ -172,7 +173,7 @@ def _slope(series: catalogue_search.Series) -> str:
     unit = _unit(series)
     slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile * error, line.p_of(1)
-    per = series.condition_unit.split(" ")[0]
+    per = unit_label(series.condition_unit.split(" ")[0]) or f"unit of {series.over}"
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
     stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %)"
@@ -184,10 +185,10 @@ def _control(series: catalogue_search.Series) -> str:
     if limits is None:
         return "fewer than three values give no control limits"
     unit = _unit(series)
-    low, high = (to_display(value, unit) for value in (limits.low, limits.high))
+    centre, *ends = (to_display(value, unit) for value in (limits.centre, limits.low, limits.high))
+    _, _, low, high = written(centre, difference_in(limits.rounding, unit), *ends)
     beyond = ", ".join(row.label for row in series.outside) or "none"
-    ends = " ".join(filter(None, (number(low), "to", number(high), unit_label(unit))))
-    return f"control limits {ends}: beyond {beyond}"
+    return f"control limits {f'{low} to {high} {unit_label(unit)}'.rstrip()}: beyond {beyond}"
 
 
 @click.command()
@@ -230,7 +231,7 @@ def _parameters(path: Path) -> list[ListedParameter]:
         identification = read_identification(file)
         if identification.dataset is not None:
             return catalogue_search.dataset_parameters(file.parent)
-        return [listed for fit in identification.fits for listed in of_fit(fit)]
+        return list(listed_parameters(identification))
 
 
 def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:

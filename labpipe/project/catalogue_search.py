@@ -68,8 +68,10 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
     table = _at_conditions(table, criteria.where)
     names = list(dataset_file.columns_of_conditions(table.column_names))
     amounts = {condition: _amounts(table, condition) for condition in names}
-    rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
-    return [_value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in rows]
+    sorted_rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
+    rows = [_value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in sorted_rows]
+    # A date that is no day is neither before nor after another.
+    return [row for row in rows if _day(row) is not None or not (criteria.since or criteria.until)]
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
@@ -137,6 +139,7 @@ def _value_row(
     entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
     texts = {name: text for name in amounts if (text := row[dataset_file.CONDITION + name]) is not None}
     of_row = {name: amounts[name][text] for name, text in texts.items()}
+    entries["date"] = texts.get(DATE, entries["date"])
     return ValueRow(
         **entries,
         path=path,
@@ -241,11 +244,10 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
 
     z = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in
     common, two-sided against the normal distribution, Holm's correction over all of them. Parameters are
-    matched by fit, term, band, test, name and unit; the test's name is ignored where each result has one test
-    only.
+    matched by fit, term, band, test, name and unit; the test's name is ignored where neither result has two.
     """
     mine, others = list(first), list(second)
-    one_test = all(len({listed.test for listed in side}) == 1 for side in (mine, others))
+    one_test = all(len({listed.test for listed in side} - {""}) < 2 for side in (mine, others))
     theirs = {_key(listed, one_test): listed for listed in others}
     pairs = [
         _difference(listed, partner)
@@ -281,7 +283,9 @@ def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
         else None
     )
     value, other_value = mine.parameter.value, other.parameter.value
-    p_value = None if error is None else 2 * float(special.ndtr(-abs(other_value - value) / error))
+    p_value = None
+    if error is not None and np.isfinite(error + value + other_value):
+        p_value = 2 * float(special.ndtr(-abs(other_value - value) / error))
     return Difference(
         fit=mine.title,
         test=mine.test,

@@ -115,7 +115,11 @@ def result_of(artefact: Path, what: str) -> Identification:
     """The result of a file; DataError that says *what* any other artefact lacks."""
     if artefact.suffix != ".json":
         raise DataError(what, artefact, "name an identification.json, which has it")
-    return read_identification(artefact)
+    identification = read_identification(artefact)
+    if identification.dataset is not None:
+        hint = f"`labpipe list {artefact.parent} -p '*' --csv FILE` writes its parameters"
+        raise DataError("keeps its numbers in a dataset beside it", artefact, hint)
+    return identification
 
 
 def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
@@ -199,23 +203,17 @@ def spectra_table(artefact: Path) -> pd.DataFrame:
 
 
 def parameter_table(artefact: Path) -> pd.DataFrame:
-    """One row per parameter of a fit or another section."""
-    rows = [
-        {
-            "fit": listed.fit,
-            "test": listed.test,
-            "term": listed.term,
-            "centre_hz": sum(listed.band_hz) / 2,
-            "parameter": listed.parameter.name,
-            "value": listed.parameter.value,
-            "unit": listed.parameter.unit,
-            "std_error": listed.parameter.full_error,
-            "ci95_low": listed.parameter.ci95[0] if listed.parameter.ci95 else None,
-            "ci95_high": listed.parameter.ci95[1] if listed.parameter.ci95 else None,
-            "warnings": " ".join(listed.warnings),
-        }
-        for listed in listed_parameters(read_identification(artefact))
-    ]
+    """One row per parameter of the fits and of all other sections; DataError where there is none."""
+    rows = []
+    for listed in listed_parameters(result_of(artefact, "holds no parameters")):
+        parameter, (low, high) = listed.parameter, listed.band_hz
+        row = {name: getattr(listed, name) for name in ("fit", "test", "term")}
+        row |= {"centre_hz": (low + high) / 2 if high else None, "parameter": parameter.name}
+        row |= {"value": parameter.value, "unit": parameter.unit, "std_error": parameter.full_error}
+        row |= dict(zip(("ci95_low", "ci95_high"), parameter.ci95 or (None, None), strict=True))
+        rows.append({**row, "warnings": " ".join(listed.warnings)})
+    if not rows:
+        raise DataError("holds no parameters", artefact)
     return pd.DataFrame(rows)
 
 

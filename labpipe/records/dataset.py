@@ -214,7 +214,8 @@ class TestColumns:
 
     values, errors, low, high (n,) [unit]: with the standard error (combined where uncertainties were
     declared) and the ends of the 95 % interval, NaN where there is none. amounts: of every condition that is
-    an amount its unit and (n,) values [that unit, SI], NaN where a test has none.
+    an amount its unit and (n,) values [that unit, SI], NaN where a test has none. band: of a
+    fit that has several, in words.
     """
 
     __test__ = False
@@ -231,12 +232,13 @@ class TestColumns:
     low: FloatArray
     high: FloatArray
     amounts: Mapping[str, tuple[str, FloatArray]] = field(default_factory=dict)
-    band_hz: tuple[float, float] = (0.0, 0.0)
+    band: str = ""
 
     @property
     def title(self) -> str:
         """The parameter and whose it is."""
-        return f"{self.parameter} of {self.fit}" + (f" of {self.term}" if self.term else "")
+        term = f" of {self.term}" if self.term else ""
+        return f"{self.parameter} of {self.fit}{term} {self.band}".rstrip()
 
 
 @dataclass(frozen=True)

@@ -226,7 +226,7 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((source["path"], source["sha256"]) for source in identification.sources)
     repeat = (
         f"To repeat: labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR` "
-        "over files with these checksums."
+        "over files with these checksums, with the settings that identification.json states."
     )
     settings = {key: value for key, value in identification.settings.items() if key in SHOWN_SETTINGS}
     return (
@@ -350,9 +350,10 @@ def _each_figure_once(sections: Sequence[Section]) -> tuple[Section, ...]:
 
 
 def _of_test(identification: Identification, test: str) -> Identification:
-    names = [*identification.test_conditions, *(fit.test for fit in identification.fits)]
+    names = dict.fromkeys((*identification.test_conditions, *(fit.test for fit in identification.fits)))
     if test not in names:
-        raise ConfigError(f"the result has no test '{test}'", hint=nearest(test, names))
+        hint = nearest(test, filter(None, names)) if any(names) else "its only test has no name"
+        raise ConfigError(f"the result has no test '{test}'", hint=hint)
     return replace(
         identification,
         fits=tuple(fit for fit in identification.fits if fit.test == test),

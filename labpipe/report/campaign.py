@@ -12,7 +12,7 @@ from datetime import date
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.display import difference_in, written
+from labpipe.display import difference_in, unit_label, written
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import UnitError, display_unit, si_amount, to_display
 from labpipe.records.finding import Parameter
@@ -29,8 +29,8 @@ from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits,
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter of a fit in one result; *label*: distinct label of the test, *day* is None where no
-    condition gives it.
+    """A parameter of a fit in one result; *label*: distinct label of the test; *when*: the date that its
+    conditions give, maybe with an hour, '' where they give none.
 
     random_error: standard error of this test alone; changes: by sources that tests may have in common.
     """
@@ -38,7 +38,7 @@ class Value:
     label: str
     parameter: Parameter
     conditions: dict[str, tuple[float, str]]
-    day: date | None
+    when: str
     random_error: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
 
@@ -69,7 +69,7 @@ class CoefficientSeries:
     @property
     def dated(self) -> bool:
         """Whether the conditions give a date for every value."""
-        return all(value.day is not None for value in self.values)
+        return all(value.when for value in self.values)
 
     def shown(self) -> FloatArray:
         """Values (n,) [display unit]."""
@@ -105,7 +105,7 @@ class CoefficientSeries:
             if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
                 shown = [to_display(amount, display_unit(unit)) for amount, _ in amounts]
                 conditions[name] = (Axis(name, unit_text(unit)), np.array(shown))
-        days = [value.day for value in self.values if value.day is not None]
+        days = [day for value in self.values if (day := _day(value.when)) is not None]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
             conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
@@ -120,7 +120,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
             values = groups.setdefault((listed.title, listed.parameter.name), [])
             values.append(_value(result, identification, listed))
     return [
-        CoefficientSeries(fit, name, _order(values))
+        CoefficientSeries(fit, name, tuple(_order(values)))
         for (fit, name), values in groups.items()
         if len(values) > 1 and len({value.parameter.unit for value in values}) == 1
     ]
@@ -134,10 +134,8 @@ def single_parameters(identification: Identification) -> list[ListedParameter]:
     return [listed for listed, key in zip(rows, keys, strict=True) if counts[key] == 1]
 
 
-def _order(values: Sequence[Value]) -> tuple[Value, ...]:
-    if any(value.day is None for value in values):
-        return tuple(values)
-    return tuple(sorted(values, key=lambda value: value.day or date.min))
+def _order(values: Sequence[Value]) -> Sequence[Value]:
+    return sorted(values, key=lambda value: value.when) if all(value.when for value in values) else values
 
 
 def _label(result: str, test: str) -> str:
@@ -149,11 +147,10 @@ def _value(result: str, identification: Identification, listed: ListedParameter)
     amounts = {
         name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None
     }
-    days = (_day(str(text)) for name, text in conditions.items() if name.lower() in DATES)
-    day = next((day for day in days if day is not None), None)
-    return Value(
-        _label(result, listed.test), listed.parameter, amounts, day, listed.random_error, listed.changes
-    )
+    dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
+    when = next((text for text in dates if _day(text)), "")
+    label = _label(result, listed.test)
+    return Value(label, listed.parameter, amounts, when, listed.random_error, listed.changes)
 
 
 def _amount(text: str) -> tuple[float, str] | None:
@@ -208,7 +205,7 @@ def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
     ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
     tests = curve("tests", places, values, marker=".", size=4.0)
-    names = [str(value.day) if series.dated else value.label[-LONGEST_NAME:] for value in series.values]
+    names = [value.when if series.dated else value.label[-LONGEST_NAME:] for value in series.values]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
     lines = (*([ringed] if outside else []), *control_lines(limits.centre, limits.low, limits.high))
     alternative = f"Control chart of {series.title} with {len(outside)} values outside its limits"
@@ -424,9 +421,10 @@ def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
         limits, n = control_limits(coefficient.shown()), len(coefficient.values)
         outside = "; ".join(_outside(coefficient))
         which = f"outside: {outside}" if outside else "no value lies outside"
-        ends = f"{limits.low:.5g} to {limits.high:.5g} {coefficient.unit}"
+        centre, _, low, high = written(limits.centre, limits.rounding, limits.low, limits.high)
+        ends = f"{low} to {high} {unit_label(coefficient.unit)}".rstrip()
         suppose = "The limits suppose that all tests are of one condition."
-        text = f"{limits.formula}; centre {limits.centre:.5g}, limits {ends}; {which}. {suppose}"
+        text = f"{limits.formula}; centre {centre}, limits {ends}; {which}. {suppose}"
         if n < SETTLED:
             text += f" With {n} values, fewer than {SETTLED}, the limits are provisional."
         blocks.append(Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"))
@@ -442,7 +440,7 @@ def _value_table(coefficient: CoefficientSeries, apart: Apart) -> Table:
         rows.append(
             (
                 coefficient.values[n].label,
-                str(coefficient.values[n].day) if coefficient.dated else "",
+                coefficient.values[n].when if coefficient.dated else "",
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
                 rounded(value, error),
                 " to ".join(written(value, error, low, high)[2:]) if np.isfinite(low) else "none",

@@ -362,9 +362,10 @@ def _point_table(comparison: Comparison) -> Table:
 
 def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
     unit = display_unit(comparison.unit)
-
-    def text(value: float | None) -> str:
-        return "" if value is None else number(to_display(value, unit))
+    ends = [to_display(end, unit) for end in point.ci95 or ()]
+    theory = [] if point.theory is None else [to_display(point.theory, unit)]
+    error = (ends[1] - ends[0]) / 4 if ends else None
+    value, _, *texts = written(to_display(point.value, unit), error, *ends, *theory)
 
     def condition(amount: float | None, of: str) -> str:
         return "" if amount is None else f"{to_display(amount, display_unit(of)):g}"
@@ -374,9 +375,9 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
         condition(point.condition, comparison.condition_unit),
         condition(point.second, comparison.second_unit),
         point.group,
-        text(point.value),
-        "" if point.ci95 is None else f"{text(point.ci95[0])} to {text(point.ci95[1])}",
-        text(point.theory),
+        value,
+        " to ".join(texts[: len(ends)]),
+        "".join(texts[len(ends) :]),
         *_ratio_words(point),
         "" if point.p_value is None else f"{point.p_value:.2g}",
     )

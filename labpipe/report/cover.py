@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
 from labpipe.quantities import to_display
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import (
     Fit,
     FittedCurve,
@@ -22,7 +22,7 @@ from labpipe.report.chart import Chart, stack
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
 from labpipe.report.fits import blocks_of_details
-from labpipe.report.wording import few, fit_title, legible
+from labpipe.report.wording import few, fit_title, legible, meaning
 
 # What rules without limits decide by, since ISO/IEC 17025, 7.8.6, asks for it to be stated.
 SIMPLE_ACCEPTANCE = "without limits: simple acceptance, the value alone is compared"
@@ -95,15 +95,6 @@ def _global(decision: RuleDecision) -> str:
 
 DATES = ("date", "recorded", "day")
 MOST_CONDITIONS, MOST_VALUES = 6, 8
-# Coefficients by the first part of their names, in words.
-MEANINGS = {
-    "k": "stiffness",
-    "c": "damping",
-    "m": "mass",
-    "f": "natural frequency",
-    "zeta": "damping ratio",
-    "eta": "loss factor",
-}
 # Rows of the first page, and elements of a response that one figure of it shows.
 MOST_RESULTS, MOST_ELEMENTS = 18, 4
 # Height of that figure [in], alone and with phase and residual, which stand above so many rows in all.
@@ -161,8 +152,8 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
     rows = [
         (
             fit_title(fit) if number == 0 and len(fits) > 1 else "",
-            f"{MEANINGS.get(parameter.name.partition('_')[0], '')} {parameter.name}".lstrip(),
-            *_in_print(parameter),
+            f"{meaning(parameter)} {parameter.name}".lstrip(),
+            *_in_print(parameter, bool(of_level(WARNING, fit.findings))),
             parameter.reason,
         )
         for fit in fits
@@ -204,10 +195,11 @@ def _single_fits(identification: Identification) -> list[Fit]:
     return [fit for fit in single if not of_points(fit.model)]
 
 
-def _in_print(parameter: Parameter) -> tuple[str, str]:
+def _in_print(parameter: Parameter, has_warnings: bool) -> tuple[str, str]:
     if parameter.ci95 is None:
         unit = shown_unit(parameter.unit, parameter.value)
-        why = "at the end of its range" if parameter.at_bound else "no interval, see the warnings"
+        none = "no interval, see the warnings" if has_warnings else "no interval"
+        why = "at the end of its range" if parameter.at_bound else none
         return f"{with_error(to_display(parameter.value, unit), None, legible(unit))} ({why})", ""
     low, high = parameter.ci95
     half = (high - low) / 2

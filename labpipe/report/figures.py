@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Geometry
 from labpipe.report import chart
 from labpipe.report.document import Figure
-from labpipe.report.wording import fit_title, unit_text
+from labpipe.report.wording import fit_title, meaning, unit_text
 
 FREQUENCY = chart.Axis("frequency", "Hz")
 CENTRE = chart.Axis("centre of the band", "Hz")
@@ -119,9 +119,9 @@ def correlation_figure(fit: Fit) -> Figure:
 
 
 def sliding_units(fits: Sequence[Fit]) -> dict[str, str]:
-    """The units of the stiffness and damping coefficients of sliding fits, of which bands may lack some."""
+    """The units of the coefficients of sliding fits that have a meaning, of which bands may lack some."""
     every = (parameter for fit in fits for parameter in fit.parameters if not parameter.derived)
-    return {p.name: p.unit for p in every if p.unit in ("N/m", "N.s/m")}
+    return {parameter.name: parameter.unit for parameter in every if meaning(parameter)}
 
 
 def of_bands(fits: Sequence[Fit], name: str) -> list[Parameter | None]:
@@ -131,8 +131,11 @@ def of_bands(fits: Sequence[Fit], name: str) -> list[Parameter | None]:
 
 def sliding_figures(fits: Sequence[Fit]) -> list[Figure]:
     """Every coefficient over the centre of its band with its 95 % interval, then G.o.F over frequency."""
-    groups = [[name for name in sliding_units(fits) if name.startswith(kind)] for kind in ("k", "c")]
-    return [*(_coefficient_figure(fits, group) for group in groups if group), _goodness_figure(fits)]
+    every = (p for fit in fits for p in fit.parameters if p.name in sliding_units(fits))
+    groups: dict[str, dict[str, str]] = {}
+    for parameter in every:
+        groups.setdefault(meaning(parameter), {})[parameter.name] = parameter.unit
+    return [*(_coefficient_figure(fits, *group) for group in groups.items()), _goodness_figure(fits)]
 
 
 def sliding_curve(
@@ -149,10 +152,10 @@ def sliding_curve(
     )
 
 
-def _coefficient_figure(fits: Sequence[Fit], names: list[str]) -> Figure:
-    series = [sliding_curve(fits, name, name, number, 0.2) for number, name in enumerate(names)]
-    y = chart.Axis(names[0][0], unit_text(sliding_units(fits)[names[0]]))
-    what = "stiffness" if names[0].startswith("k") else "damping"
+def _coefficient_figure(fits: Sequence[Fit], what: str, units: Mapping[str, str]) -> Figure:
+    series = [sliding_curve(fits, name, name, number, 0.2) for number, name in enumerate(units)]
+    name, unit = next(iter(units.items()))
+    y = chart.Axis(name.partition("_")[0], unit_text(unit))
     caption = f"{fit_title(fits[0])}: {what} over frequency, {len(fits)} bands; shaded: 95 % interval."
     alternative = f"{what} of {fit_title(fits[0])} over frequency with 95 % interval"
     return Figure(chart.stack([chart.Panel(CENTRE, y, tuple(series))], 3.2), caption, alternative)
@@ -162,14 +165,14 @@ def _goodness_figure(fits: Sequence[Fit]) -> Figure:
     centres = [fit.centre_hz for fit in fits]
     goodness = chart.curve("G.o.F (adj. R²)", centres, [fit.gof.r2_adjusted for fit in fits], marker=".")
     reduced = [np.nan if fit.gof.chi2_reduced is None else fit.gof.chi2_reduced for fit in fits]
-    chi2 = chart.curve("chi² per datum", centres, reduced, 1, marker=".")
+    chi2 = chart.curve("chi² per dof", centres, reduced, 1, marker=".")
     panels = (
         chart.Panel(CENTRE, chart.Axis("G.o.F (adj. R²)"), (goodness,)),
-        chart.Panel(CENTRE, chart.Axis("chi² per datum"), (chi2, chart.level(1.0))),
+        chart.Panel(CENTRE, chart.Axis("chi² per dof"), (chi2, chart.level(1.0))),
     )
     caption = (
         f"{fit_title(fits[0])}: goodness of fit per band. A high G.o.F does not prove the coefficients; "
-        "chi² per datum near 1 says that the model leaves nothing but the measured noise."
+        "chi² per dof near 1 says that the model leaves nothing but the measured noise."
     )
     alternative = f"Goodness of fit of {fit_title(fits[0])} over frequency"
     return Figure(chart.stack(panels, 3.6, "none"), caption, alternative)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from labpipe.display import difference_in, number, unit_label, written
+from labpipe.display import difference_in, two_digits, written
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
@@ -212,7 +212,7 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
     values, unit = _in_unit(columns, columns.values)
     there = np.flatnonzero(np.isfinite(values))
     if not there.size:
-        return (columns.title, unit_label(unit), "0", *("" for _ in range(7)))
+        return (columns.title, legible(unit), "0", *("" for _ in range(7)))
     middle = float(np.median(values[there]))
     scatter = NORMAL_MAD * float(np.median(np.abs(values[there] - middle)))
     least, largest = there[np.argmin(values[there])], there[np.argmax(values[there])]
@@ -220,9 +220,9 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
         middle, scatter or None, float(values[least]), float(values[largest])
     )
     errors = columns.errors[np.isfinite(columns.errors)]
-    error = number(difference_in(float(np.median(errors)), unit), 2) if errors.size else ""
+    error = two_digits(difference_in(float(np.median(errors)), unit), middle) if errors.size else ""
     ends = (low, columns.tests[least], high, columns.tests[largest])
-    return (columns.title, unit_label(unit), str(there.size), middle_text, scatter_text, error, *ends)
+    return (columns.title, legible(unit), str(there.size), middle_text, scatter_text, error, *ends)
 
 
 def _left_out(parameters: Sequence[TestColumns]) -> tuple[Block, ...]:
@@ -259,10 +259,10 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     rows = tuple((part["path"], part["sha256"]) for part in identification.inputs)
     settings = {key: value for key, value in identification.settings.items() if key in SHOWN_SETTINGS}
     words = "Every row of the dataset carries the digest of the recordings that it comes from. To repeat:"
-    repeat = f"labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR`."
+    repeat = f"labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR`, with"
     return (
         Table(("part of the dataset", "SHA-256"), rows, "Results"),
-        Paragraph(f"{words} {repeat}"),
+        Paragraph(f"{words} {repeat} the settings that identification.json states."),
         Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
         Code(json.dumps(settings, indent=1)),
     )

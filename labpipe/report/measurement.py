@@ -58,16 +58,17 @@ def _table(spectra: ChannelSpectra) -> Table:
     noise = noise_of(spectra)
     rows = []
     for number, channel in enumerate(spectra.channels):
-        factor, power = scale_of(channel.unit), np.abs(spectra.vectors[:, :, number]) ** 2
-        rms = np.sqrt(np.sum(power, axis=0) / 2).max()
-        deviation = float(np.sqrt(np.mean(noise[:, :, number] ** 2)))
+        factor, power = scale_of(channel.unit), np.abs(spectra.vectors[:, :, number]) ** 2 / 2
+        rms = np.sqrt(np.sum(power, axis=0)).max()
+        # Of amplitudes from 0 to peak, like them.
+        deviation = float(np.sqrt(np.mean(noise[:, :, number] ** 2) / 2))
         ratio = f"{float(np.sqrt(np.mean(power))) / deviation:.3g}" if deviation > 0 else "-"
         of = ", ".join(term.channel for term in channel.terms)
         made = f"{channel.role}, sum of {of}" if of else channel.role
         sizes = f"{factor * rms:.4g}", f"{factor * deviation:.3g}", ratio
         rows.append((channel.name, made, channel.dof, *sizes, unit_text(channel.unit)))
     header = ("channel", "role", "direction", "rms", "noise of a line", "signal over noise", "unit")
-    caption = f"Channels of {_of(spectra)}: rms over the lines of the strongest run"
+    caption = f"Channels of {_of(spectra)}: rms over the lines of the strongest run, noise as rms too"
     return Table(header, tuple(rows), caption, (3, 4, 5))
 
 

@@ -52,6 +52,22 @@ def few(texts: Sequence[str], most: int, mark: str = ", ") -> str:
     return mark.join(texts[:most]) + more
 
 
+# Coefficients by the first part of their names and their unit, in words.
+MEANINGS = {
+    ("k", "N/m"): "stiffness",
+    ("c", "N.s/m"): "damping",
+    ("m", "kg"): "mass",
+    ("f", "Hz"): "natural frequency",
+    ("zeta", "1"): "damping ratio",
+    ("eta", "1"): "loss factor",
+}
+
+
+def meaning(parameter: Parameter) -> str:
+    """A coefficient in words; '' for one that is none of them, such as a force per current `k_i`."""
+    return MEANINGS.get((parameter.name.partition("_")[0], parameter.unit), "")
+
+
 def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, ...]:
     """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor.
 

@@ -264,6 +264,11 @@ class ControlLimits:
     outside: tuple[int, ...]
 
     @property
+    def rounding(self) -> float:
+        """The number whose second digit is the last one of the limits that is shown."""
+        return min(self.sigma, 1e-4 * abs(self.centre))
+
+    @property
     def formula(self) -> str:
         return "individuals (Shewhart) chart: mean ∓ 3 × mean moving range / 1.128"
 

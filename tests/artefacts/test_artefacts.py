@@ -272,7 +272,22 @@ def test_records_are_read_only_and_checked_at_birth(rng: np.random.Generator) ->
     assert uncorrelated(one.variance).shape == (5, 4, 4)
 
 
-@pytest.mark.parametrize("change", [{"fits": [{"name": "x"}]}, {"studies": [{"later": 1}]}, {"fits": 3}])
+# A text counts as true, so that a rule that fails would pass.
+BAD_RULES = (
+    [{"rule": "a.k >= 1", "value": 0.5, "passed": "no"}],
+    [{"rule": "a", "value": [1], "passed": True}],
+)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"fits": [{"name": "x"}]},
+        {"studies": [{"later": 1}]},
+        {"fits": 3},
+        *({"accept": one} for one in BAD_RULES),
+    ],
+)
 def test_a_result_with_other_entries_is_refused_in_plain_words(tmp_path: Path, change: dict) -> None:
     path = tmp_path / "identification.json"
     write_identification(path, Identification((), "empty", pipeline="p.yaml"))

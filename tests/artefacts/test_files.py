@@ -250,6 +250,12 @@ def test_fits_of_a_test_come_back(tmp_path: Path, made: list[Fit]) -> None:
     assert len(again) == len(made) and all(map(same, again, ordered))
 
 
+def test_a_fit_without_an_estimate_has_a_matrix_of_none(tmp_path: Path) -> None:
+    """Its file says [], which is a row."""
+    write_fits(tmp_path / "a.json", [replace(FIT, correlation=np.empty((0, 0)))], SETTINGS, RESPONSES)
+    assert read_fits(tmp_path / "a.json")[0].correlation.shape == (0, 0)
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     write_fits(tmp_path / "427N.json", [FIT], SETTINGS, RESPONSES)

@@ -10,6 +10,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -381,6 +382,27 @@ def test_without_an_error_nothing_is_claimed() -> None:
 def test_tests_are_matched_by_name_where_there_are_several() -> None:
     found = differences(*two([fit("a", 1.0), fit("b", 2.0)], [fit("b", 3.0), fit("x", 4.0)]))
     assert [(one.test, one.parameter, one.second) for one in found] == [("b", "k", 3.0), ("b", "c", 3.0)]
+
+
+def test_other_sections_are_compared_as_fits_are() -> None:
+    """5 mm/N and 7 of a comparison, errors 0.6 and 0.8: z = 2, p = 0.0455; of an untested one none."""
+    lag, trial = parameter("lag", 5.0, 0.6, "1"), parameter("trial", float("nan"), 0.1, "1")
+    mine, other = (
+        [
+            *listed([fit(test, 1000.0)]),
+            *(ListedParameter(fit="loop", parameter=p, model="trend") for p in amounts),
+        ]
+        for test, amounts in (("a", (lag, trial)), ("b", (replace(lag, value=7.0, std_error=0.8), trial)))
+    )
+    k, c, of_loop, untested = differences(mine, other)
+    assert (k.parameter, c.parameter, of_loop.fit, of_loop.std_error) == (
+        "k",
+        "c",
+        "loop",
+        pytest.approx(1.0),
+    )
+    # Three are tested.
+    assert of_loop.p_value == pytest.approx(3 * 0.04550026, rel=1e-6) and untested.p_value is None
 
 
 def test_comparing_on_the_terminal(campaign: Path, labpipe) -> None:

@@ -17,7 +17,8 @@ import pytest
 
 from labpipe.artefacts.dataset_file import _name
 from labpipe.errors import ConfigError
-from labpipe.project.catalogue_search import _holds
+from labpipe.project.catalogue import VALUE_COLUMNS
+from labpipe.project.catalogue_search import _holds, _value_row
 from labpipe.project.executors import Execute, Work, serially
 from labpipe.project.one_test import Done, Job
 from tests.project.laboratory import PIPELINE, contents, laboratory, recording
@@ -81,6 +82,12 @@ def test_pages_of_one_test_are_drawn_on_demand(lab: Path, labpipe, tmp_path: Pat
     ) > 20
     ended = labpipe("report", lab / "out/dataset", "--test", "t3", "-o", tmp_path / "no.md")
     assert ended.code == 2 and "the result has no test 't3'; did you mean" in ended.err
+
+
+def test_a_dataset_is_not_exported_as_a_table_of_nothing(lab: Path, labpipe, tmp_path: Path) -> None:
+    for kind in ("csv", "covariance", "shapes"):
+        ended = labpipe("export", lab / "out/dataset/identification.json", "--to", kind, "-o", tmp_path / "t")
+        assert ended.code == 2 and "in a dataset beside it" in ended.err and not (tmp_path / "t").exists()
 
 
 def test_lists_are_those_of_the_whole_result(lab: Path, labpipe, tmp_path: Path) -> None:
@@ -270,6 +277,16 @@ def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
     assert sorted(path.name for path in (jobs / "done").iterdir()) == ["t00", "t01", "t02"]
     assert labpipe("run", "fleet.yaml", "-o", "again", "-q").code == 0
     assert contents(jobs / "out") == contents(jobs / "again")
+
+
+def test_a_date_that_is_no_day_is_not_that_of_the_file() -> None:
+    """As of single results: the catalogue shows what stands there."""
+    names = [name for name in VALUE_COLUMNS if name not in ("path", "changes", "std_error")]
+    row = {**dict.fromkeys(names), "full_error": 1.0, "changes": [], "date": "2026-11-29"}
+    assert _value_row(
+        {**row, "condition.date": "03/11/2026"}, "p", {"date": {"03/11/2026": (None, "")}}
+    ).date == ("03/11/2026")
+    assert _value_row({**row, "condition.date": None}, "p", {"date": {}}).date == "2026-11-29"
 
 
 def test_tests_that_failed_are_named_once_with_their_conditions() -> None:

@@ -132,6 +132,20 @@ def test_reciprocal_pairs_are_drawn_on_each_other() -> None:
     assert "rms difference 40 %" in figure.caption
 
 
+def test_a_value_has_the_digits_of_its_interval() -> None:
+    """10 MN/m within 4 N/m has a second digit of its error at 0.1 N/m."""
+    point = replace(POINTS[0], value=10e6 + 0.4, ci95=(10e6 - 1.6, 10e6 + 2.4), theory=8e6)
+    table = next(
+        b
+        for b in comparison_blocks(replace(BASE, points=(point,)), ())
+        if getattr(b, "caption", "") == ("Tests of axial")
+    )
+    assert isinstance(table, Table)
+    row = dict(zip(table.header, table.rows[0], strict=True))
+    assert row["value [kN/m]"] == "10000.0004" and row["95 % interval"] == "9999.9984 to 10000.0024"
+    assert row["theory"] == "8000.0000"
+
+
 def test_tables_leave_out_what_no_test_has_and_say_what_was_not_tested() -> None:
     blocks = comparison_blocks(BASE, ())
     amounts, tests = (block for block in blocks if isinstance(block, Table))

@@ -115,6 +115,20 @@ def test_sliding_coefficients_over_the_centres_with_their_intervals() -> None:
     assert adjusted.y.tolist() == [0.98, 0.89] and chi2.y[0] == 1.1 and np.isnan(chi2.y[1])
 
 
+def test_loss_factors_and_masses_of_bands_stand_in_figure_and_table() -> None:
+    eta, mass = replace(C, name="eta", unit="1", value=0.01), replace(C, name="m", unit="kg", value=0.9)
+    bands = [replace(FIT, band_hz=(low, low + 15.0), parameters=(K, eta, mass)) for low in (10.0, 13.0)]
+    _, loss, weight, _ = sliding_figures(bands)
+    assert loss.graphic.panels[0].y.label == "eta" and loss.graphic.panels[0].series[0].y.tolist() == [
+        0.01,
+        0.01,
+    ]
+    assert weight.graphic.panels[0].y.label == "m [kg]" and "mass over frequency" in weight.caption
+    (section,) = fit_sections(Identification(tuple(bands)))
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    assert table.header[3:6] == ("k [kN/m]", "eta", "m [kg]")
+
+
 def test_a_response_is_shown_with_the_best_statement_of_its_quality() -> None:
     coherent = response_figure(replace(RESPONSE, coherence=np.full(MATRIX.shape, 0.9)))
     amplitude, quality = coherent.graphic.panels

@@ -77,6 +77,15 @@ def test_the_verdict_is_that_of_the_counts(
     assert shown.subtitle == f"Report of {index.tests + index.failed} tests, labpipe 1"
 
 
+def test_the_bands_of_a_fit_are_told_apart() -> None:
+    low, high = (replace(columns(np.arange(3.0), np.arange(3.0)), band=band) for band in ("1-2 Hz", "2-3 Hz"))
+    shown = document(DatasetIndex(tests=3), tests=ManyTests((low, replace(high, term="x"))))
+    assert [section.heading for section in shown.sections if "direct" in section.heading] == [
+        "k of direct 1-2 Hz",
+        "k of direct of x 2-3 Hz",
+    ]
+
+
 def test_a_warning_of_several_tests_stands_once_and_limits_the_acceptance() -> None:
     index = DatasetIndex(tests=7, findings=(CountedFinding(Finding("drift", "k fell"), "t1", 3),))
     shown = document(index, HOLDS)

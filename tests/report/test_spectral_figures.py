@@ -15,10 +15,13 @@ from labpipe import __version__
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.document.render import html_report
 from labpipe.records.identification import Identification
+from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.spectra import ChannelSpectra
 from labpipe.report import figures
 from labpipe.report.document import Figure, Paragraph, Table
 from labpipe.report.measurement import (
+    channel_blocks,
     distortion_figure,
     half_axes,
     orbit,
@@ -128,6 +131,16 @@ def test_distortion_and_noise_are_the_parts_of_the_deviation() -> None:
     np.testing.assert_allclose(lines[1][1][10:], 6e-3, rtol=1e-12)
     assert np.all(np.isnan(lines[1][1][:10]))
     np.testing.assert_allclose(lines[2][1], np.where(np.arange(FREQUENCY.size) < 10, 10e-3, 8e-3), rtol=1e-9)
+
+
+def test_signal_and_noise_of_a_channel_are_both_rms() -> None:
+    """Two lines of 3 um from 0 to peak have 3 um rms; noise of E|e|^2 = 2 um^2 has 1."""
+    channel = Channel("y", "displacement", "output", "y")
+    spectra = ChannelSpectra(
+        np.array([1.0, 2.0]), np.full((2, 1, 1), 3e-6), np.full((2, 1, 1, 1), 2e-12), (channel,), ("a",)
+    )
+    table = channel_blocks(spectra)[1]
+    assert isinstance(table, Table) and table.rows[0][3:6] == ("3", "1", "2.12")
 
 
 def test_what_stands_below_a_response() -> None:

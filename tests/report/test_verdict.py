@@ -8,11 +8,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from labpipe.errors import ConfigError
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.report.build import MOST_NOTES, PARTS, build, provenance_sections, verdict_sections
+from labpipe.report.cover import result_blocks
 from labpipe.report.document import Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
@@ -247,7 +250,30 @@ def test_the_first_page_says_each_number_as_it_is_written_by_hand() -> None:
         ("", "damping ratio zeta", "0 (at the end of its range)"),
         ("other, test 427N", "stiffness k", "45.200 ± 0.063 kN/m"),
     ]
+    without = replace(FIT, parameters=(replace(K, ci95=None),))
+    for found, why in (((), "no interval"), ((Finding("gap", "x"),), "no interval, see the warnings")):
+        (shown,) = result_blocks(replace(RESULT, fits=(replace(without, findings=found),)))
+        assert isinstance(shown, Table) and shown.rows[0][1] == f"45.2 kN/m ({why})"
     assert tables[0].rows[1][4] == "other modes"
+
+
+def test_a_word_belongs_to_a_name_and_its_unit() -> None:
+    """A force per current is no stiffness, a damping ratio over the amplitude no damping ratio."""
+    names = (("k_i", "N/A"), ("k_1_2", "N/m"), ("zeta_slope_1", "1/m"), ("zeta_rest_1", "1"))
+    fit = replace(FIT, parameters=tuple(replace(K, name=name, unit=unit) for name, unit in names))
+    (table,) = (b for b in result_blocks(replace(RESULT, fits=(fit,))) if isinstance(b, Table))
+    assert [row[0] for row in table.rows] == [
+        "k_i",
+        "stiffness k_1_2",
+        "zeta_slope_1",
+        "damping ratio zeta_rest_1",
+    ]
+
+
+def test_a_test_of_no_name_is_no_hint() -> None:
+    unnamed = replace(RESULT, fits=(replace(FIT, test=""),))
+    with pytest.raises(ConfigError, match="no test 'x'; its only test has no name"):
+        build(unnamed, "x")
 
 
 def test_settings_are_those_that_the_file_states() -> None:

@@ -478,11 +478,11 @@ class Bench(charts.Watch):
         return standings
 
     def _standing(self, fit: FollowedFit, parameter: Parameter, variation: float) -> charts.Standing:
-        wanted = self.goal_of(fit.settings.name, parameter)
+        floor = fit.common[parameter.name].half if parameter.name in fit.common else 0.0
+        wanted = self.goal_of(fit.settings.name, parameter, floor)
         if wanted is None:
             return charts.Standing(parameter)
         remaining = None
-        floor = fit.common[parameter.name].half if parameter.name in fit.common else 0.0
         if floor >= wanted:
             remaining = charts.Forecast(None)
         elif parameter.name in fit.model.names and fit.now.identifiable:

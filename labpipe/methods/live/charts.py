@@ -463,11 +463,13 @@ class Watch:
         if len(self.updates) > MOST_UPDATES:
             del self.updates[1:-1:2]
 
-    def goal_of(self, fit: str, parameter: Parameter) -> float | None:
-        """The half-width [parameter unit] that is asked for, None where nothing is."""
-        wanted = [
-            goal.half(parameter) * (1.0 if goal.width == "expanded" else 2.0)
-            for goal in self.goals
-            if goal.name == parameter.name and goal.fit in ("", fit)
-        ]
-        return min(wanted, default=None)
+    def goal_of(self, fit: str, parameter: Parameter, floor: float) -> float | None:
+        """The half-width [parameter unit] that is asked for, None where nothing is; of a standard error of
+        noise, twice that beside the *floor* which averages do not take away.
+        """
+        asked = [goal for goal in self.goals if goal.name == parameter.name and goal.fit in ("", fit)]
+        halves = ((goal.width, goal.half(parameter)) for goal in asked)
+        return min(
+            (half if width == "expanded" else math.hypot(2 * half, floor) for width, half in halves),
+            default=None,
+        )

@@ -163,10 +163,10 @@ class WholeFits(Watch):
         return [update]
 
     def _standing(self, fit: str, parameter: Any) -> Standing:
-        standing = Standing(parameter, wanted := self.goal_of(fit, parameter))
+        floor, expected = lasting(parameter), None
+        standing = Standing(parameter, wanted := self.goal_of(fit, parameter, floor))
         if wanted is None or not (np.isfinite(standing.half) and self.averages):
             return standing
-        floor, expected = lasting(parameter), None
         if floor < wanted:
             times = (standing.half**2 - floor**2) / (wanted**2 - floor**2)
             expected = max(self.averages, math.ceil(self.averages * times))

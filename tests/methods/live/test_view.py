@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.methods.live.charts import Forecast, OtherForces, Standing, Update
+from labpipe.methods.live.charts import Forecast, Goal, OtherForces, Standing, Update, Watch
 from labpipe.methods.live.view import headline, left_text, level_text, rows_of
 from labpipe.records.finding import Parameter
 from labpipe.records.recording import Channel
+from labpipe.spectra.settings import FrfSettings
 
 # 18 +- .4 kN/m, of which .1 kN/m is asked for, after 5 hits of 20 s.
 K = Parameter("k", 18e3, "N/m", std_error=200.0, ci95=(17.6e3, 18.4e3))
@@ -79,6 +80,19 @@ def test_where_the_test_stands(standings: tuple[Standing, ...], stop: bool, text
     session: Any = SimpleNamespace(what="hit")
     said = headline(session, update(*standings, stop=stop))
     assert said == ("Enough: 5 hits, every goal is reached." if stop else f"5 hits. {text}")
+
+
+def test_a_standard_error_asks_for_noise_alone_and_an_interval_for_all() -> None:
+    """1 % of 100 N/m is twice 1 N/m of half-width by noise; beside a floor of 3 N/m root (4 + 9)."""
+    k, frf = Parameter("k", 100.0, "N/m"), FrfSettings("periodic", period=1.0)
+    of_noise, of_all = (
+        Watch((), 1.0, frf, (), [Goal.of(f"k.{kind}<=1%")]) for kind in ("std_error", "expanded")
+    )
+    assert (of_noise.goal_of("a", k, 0.0), of_noise.goal_of("a", k, 3.0)) == pytest.approx((2.0, 13**0.5))
+    assert (
+        of_all.goal_of("a", k, 3.0) == pytest.approx(1.0)
+        and of_all.goal_of("a", replace(k, name="c"), 3.0) is None
+    )
 
 
 def test_a_level_is_a_share_of_the_range_that_the_rig_states() -> None:
