@@ -65,12 +65,14 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
         Member(f"{RESULTS}/{name}", _role_of_result(name), folder / name, kept=name not in left)
         for name in (*names, *reports)
     ]
-    # Loads pandas.
-    from labpipe.project.exports import write_dcc
+    # A dataset holds its numbers itself.
+    if identification.dataset is None:
+        # Loads pandas.
+        from labpipe.project.exports import write_dcc
 
-    write_dcc(folder / IDENTIFICATION, scratch / CERTIFICATE)
-    role = "result as XML after the Digital Calibration Certificate"
-    results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
+        write_dcc(folder / IDENTIFICATION, scratch / CERTIFICATE)
+        role = "result as XML after the Digital Calibration Certificate"
+        results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
     noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
     digests = {reference.path: reference.sha256 for reference in noted} | {

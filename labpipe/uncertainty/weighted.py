@@ -79,6 +79,8 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
             "a value has no standard error, so tests cannot be weighted",
             hint="a response without noise gives none",
         )
+    if not np.all(np.isfinite(values)):
+        raise FitError("a value is no number, so tests cannot be weighted")
     design, whitened = _whiten(columns, errors), _whiten(values[:, None], errors)[:, 0]
     if np.linalg.matrix_rank(design) < columns.shape[1]:
         raise FitError(
