@@ -21,7 +21,7 @@ from labpipe.project.measured import MeasuredTest, load_measured
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import load_rig
-from labpipe.project.run import Manner, identify_measured, measure_tests
+from labpipe.project.run import Manner, measure_tests, run
 from labpipe.project.tests import SourceFile, Test
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.identification import Identification
@@ -142,17 +142,17 @@ def identify(
     with options.results_folder(output) as folder:
         if frfs:
             tell(f"identify  {pipeline.title}")
-            identification = _identify(pipeline, frfs, folder)
+            identification = _identify_files(pipeline, frfs, folder)
         else:
-            how = Manner(tell=tell, progress=silent if quiet else Progress(verbose))
-            identification = identify_measured(pipeline, folder, how)
+            progress = silent if quiet else Progress(verbose)
+            identification = run(pipeline, folder, Manner(tell, progress, measured_before=True))
         outdate_reports(folder, ())
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
 
 
-def _identify(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
+def _identify_files(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
     tests = [load_measured(path) for path in frfs]
     if len({test.name for test in tests}) < len(tests):
         hint = "list them as `frfs:` of tests with names in the pipeline"

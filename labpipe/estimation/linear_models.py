@@ -289,8 +289,8 @@ def base_excited(setup: Setup) -> DynamicModel:
     no more. ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
     if setup.shape != (1, 1):
-        found = f"{labels(setup.outputs)} and {labels(setup.inputs)}"
-        what = f"{BASE} takes one response and one base, found {found}"
+        ports = f"{labels(setup.outputs)} and {labels(setup.inputs)}"
+        what = f"{BASE} takes one response and one base, found {ports}"
         raise ConfigError(what, hint="name them with `output` and `input`")
     given = setup.settings.mass
     if given != ESTIMATE and not (isinstance(given, float | int) and given > 0):

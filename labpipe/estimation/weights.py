@@ -171,7 +171,7 @@ def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
-    """Of F with the variance of the weighted residual.
+    """The second degree of freedom of the F distribution with the variance of the weighted residual.
 
     Relative variance of the residual: [g nu a / (q n (a^2 - 1)) + W nu / (n (a^2 - 1))] / L for L lines, q
     forces, W lines with a common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2:

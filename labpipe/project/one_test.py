@@ -398,10 +398,12 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
             source.path if is_recording(source.path) else job.target / f"recordings/{name}{RECORDING}"
             for source, name in zip(job.test.recordings, job.names, strict=True)
         ]
-        headers = [header_of(recording) for recording in calibrated if recording.exists()]
-        rigs = [one.parameters for one in headers]
-        recorded = [reference for one in headers for reference in one.inputs]
-    for source, rig in zip(job.test.recordings, rigs, strict=False):
+        # One that is gone tells nothing of its rig.
+        headers = [header_of(recording) if recording.exists() else None for recording in calibrated]
+        rigs = [recording.parameters if recording else {} for recording in headers]
+        recorded = [reference for recording in headers if recording for reference in recording.inputs]
+        recorded = recorded if None not in headers else []
+    for source, rig in zip(job.test.recordings, rigs, strict=True):
         check_rig(rig, source.rig, path, AGAIN)
     for raw in files_of(job.test):
         _check_unchanged(raw, path, recorded, job.folder)

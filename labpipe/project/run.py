@@ -34,13 +34,15 @@ Progress = Callable[[int, int, str], None]
 @dataclass(frozen=True)
 class Manner:
     """How a run is done, which does not change its results. *execute* does the jobs of several tests;
-    *processes*: for a study, 0 for one per processor.
+    *processes*: for a study, 0 for one per processor; *measured_before*: the responses of `labpipe frf` are
+    taken.
     """
 
     tell: one_test.Tell = one_test.silent
     progress: Progress = lambda _done, _total, _name: None
     execute: Execute = serially
     processes: int = 0
+    measured_before: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,23 +59,14 @@ class Measured:
 
 
 def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
-    """All stages up to the identification."""
+    """All stages up to the identification. DataError where responses that were *measured_before* are not
+    there, or were made from other settings, rigs or recordings.
+    """
     independent = independent_fits(pipeline)
     if keeps_dataset(pipeline, independent):
         return _run_many(pipeline, output, manner, independent)
     output.remarks.extend(filter(None, [advice(pipeline, independent)]))
-    return _run_few(pipeline, output, manner, independent)
-
-
-def _run_few(
-    pipeline: Pipeline,
-    output: OutputFolder,
-    manner: Manner,
-    fits: Sequence[str],
-    *,
-    measured_before: bool = False,
-) -> Identification:
-    measured = measure_tests(pipeline, output, manner, fits, measured_before=measured_before)
+    measured = measure_tests(pipeline, output, manner, independent)
     manner.tell(f"identify  {pipeline.title}")
     return identify_stage(
         pipeline,
@@ -96,30 +89,16 @@ def run_only(pipeline: Pipeline, target: Path, test: str, manner: Manner) -> one
     if test not in names or len(names) < MANY:
         raise ConfigError(f"no test '{test}' among several", pipeline.path, nearest(test, names))
     with staging_folder(existing_home(target)) as scratch:
-        job = _jobs(pipeline, target, scratch, independent_fits(pipeline))[names.index(test)]
+        job = _jobs(pipeline, target, scratch, independent_fits(pipeline), manner)[names.index(test)]
         (done,) = _outcomes([job], manner)
     return done
 
 
-def identify_measured(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
-    """The identification from responses that are there. DataError for one that is not, or that was made from
-    other settings, rigs or recordings.
-    """
-    independent = independent_fits(pipeline)
-    way = _run_many if keeps_dataset(pipeline, independent) else _run_few
-    return way(pipeline, output, manner, independent, measured_before=True)
-
-
 def _run_many(
-    pipeline: Pipeline,
-    output: OutputFolder,
-    manner: Manner,
-    fits: Sequence[str],
-    *,
-    measured_before: bool = False,
+    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str]
 ) -> Identification:
     with staging_folder(existing_home(output.target)) as scratch:
-        jobs = _jobs(pipeline, output.target, scratch, fits, pipeline.rules, measured_before)
+        jobs = _jobs(pipeline, output.target, scratch, fits, manner, pipeline.rules)
         gathered = Gathered(jobs, output)
         for outcome in _outcomes(jobs, manner):
             gathered.add(outcome)
@@ -128,19 +107,14 @@ def _run_many(
 
 
 def measure_tests(
-    pipeline: Pipeline,
-    output: OutputFolder,
-    manner: Manner,
-    fits: Sequence[str] = (),
-    *,
-    measured_before: bool = False,
+    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
 ) -> Measured:
     """ingest and frf of every test, and of several tests the fits named in *fits*. Ready responses are read
     as they are.
     """
     with staging_folder(existing_home(output.target)) as scratch:
         of_tests = fits if len(pipeline.tests) >= MANY else ()
-        jobs = _jobs(pipeline, output.target, scratch, of_tests, None, measured_before)
+        jobs = _jobs(pipeline, output.target, scratch, of_tests, manner)
         if len(jobs) > 1:
             done = {outcome.test: outcome for outcome in _outcomes(jobs, manner)}
         else:
@@ -174,8 +148,8 @@ def _jobs(
     target: Path,
     scratch: Path,
     fits: Sequence[str],
+    manner: Manner,
     rules: tuple[Rule, ...] | None = None,
-    measured_before: bool = False,
 ) -> list[one_test.Job]:
     file_stems([test.name for test in pipeline.tests], "tests", pipeline.path)
     test_names = [
@@ -200,7 +174,7 @@ def _jobs(
             target=target,
             scratch=scratch,
             rules=rules,
-            measured_before=measured_before,
+            measured_before=manner.measured_before,
         )
         for test in pipeline.tests
     ]

@@ -175,7 +175,7 @@ class XlsxTable:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._sheet, rows = self._rows_of_numbers()
-        width, numeric = _alike(rows)
+        width, numeric = _places_of_numbers(rows)
         self._first = next(
             n for n, row in enumerate(rows) if _width(row) == width and _is_numeric([row[p] for p in numeric])
         )
@@ -197,7 +197,7 @@ class XlsxTable:
             sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
             book.close()
         numeric = {title: rows for title, rows in sheets.items() if any(map(_is_numeric, rows))}
-        numeric = numeric or {title: rows for title, rows in sheets.items() if _alike(rows)[1]}
+        numeric = numeric or {title: rows for title, rows in sheets.items() if _places_of_numbers(rows)[1]}
         if len(numeric) != 1:
             what = f"several sheets hold numbers: {', '.join(numeric)}"
             what = what if numeric else "no sheet holds a row of numbers"
@@ -228,7 +228,7 @@ class XlsxTable:
         return values
 
 
-def _alike(rows: Sequence[Row]) -> tuple[int, Sequence[int]]:
+def _places_of_numbers(rows: Sequence[Row]) -> tuple[int, Sequence[int]]:
     """How wide most rows of numbers are, and the places of numbers in them: all, or those beside texts that
     most rows have; none of a sheet without a table.
     """

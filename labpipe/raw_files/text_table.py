@@ -273,22 +273,22 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     """
     encoding, lines = _head(path)
     sample = [n for n in _sample(len(lines)) if lines[n].strip()]
-    found = _way(lines, sample, number, _numeric_rows)
-    if found is None or 2 * len(found.rows) < len(sample):
-        found = _way(lines, sample, number, _rows_with_text) or found
-    if found is None:
+    best = _best_candidate(lines, sample, number, _numeric_rows)
+    if best is None or 2 * len(best.rows) < len(sample):
+        best = _best_candidate(lines, sample, number, _rows_with_text) or best
+    if best is None:
         raise DataError("no row of numbers in it", path, "a table of numbers below one header line is needed")
-    delimiter, decimal = found.delimiter, found.decimal
-    first = next(n for n, line in enumerate(lines) if found.holds(line, number))
-    names, units = header_of(lines[:first], delimiter, found.widths(lines))
+    delimiter, decimal = best.delimiter, best.decimal
+    first = next(n for n, line in enumerate(lines) if best.holds(line, number))
+    names, units = header_of(lines[:first], delimiter, best.widths(lines))
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
     # Times of day are read as seconds, whatever stands in brackets.
     units |= {names[n]: "s" for n in stamps if names[n]}
-    texts = tuple(n for n in range(found.n_field) if n not in found.numeric)
+    texts = tuple(n for n in range(best.n_field) if n not in best.numeric)
     return Layout(encoding, delimiter, decimal, names, units, first, stamps, texts)
 
 
-def _way(
+def _best_candidate(
     lines: list[str], sample: list[int], number: IsNumber, rows_of: Callable[..., _Candidate]
 ) -> _Candidate | None:
     """The best way to take the lines apart; None without a row."""
@@ -353,7 +353,7 @@ def _all_numbers(fields: list[str], decimal: str, number: IsNumber) -> bool:
             pass
     numbers = [number(field, decimal) for field in fields]
     return any(numbers) and all(
-        is_one or is_missing(field) for is_one, field in zip(numbers, fields, strict=True)
+        is_value or is_missing(field) for is_value, field in zip(numbers, fields, strict=True)
     )
 
 
@@ -377,13 +377,17 @@ def _rows_with_text(
     """
     rows: dict[tuple[bool, ...], list[int]] = {}
     for n in sample if delimiter != BLANKS else ():
-        is_one = tuple(number(field, decimal) for field in fields_of(lines[n], delimiter))
-        rows.setdefault(is_one, []).append(n)
+        are_numbers = tuple(number(field, decimal) for field in fields_of(lines[n], delimiter))
+        rows.setdefault(are_numbers, []).append(n)
     alike = max(rows, key=lambda kind: len(rows[kind]), default=())
     if not any(alike) or len(rows[alike]) < max(2, len(sample) / 2):
         return _Candidate(delimiter, decimal, [], 0, ())
     return _Candidate(
-        delimiter, decimal, rows[alike], len(alike), tuple(n for n, one in enumerate(alike) if one)
+        delimiter,
+        decimal,
+        rows[alike],
+        len(alike),
+        tuple(n for n, is_number in enumerate(alike) if is_number),
     )
 
 

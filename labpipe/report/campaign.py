@@ -307,8 +307,8 @@ Apart = tuple[FloatArray, FloatArray]
 
 def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
     """Of every series, NaN where its values have no errors. All are corrected together."""
-    found = [_from_the_rest(coefficient) for coefficient in series]
-    corrected = [p for _, p in found]
+    each = [_from_the_rest(coefficient) for coefficient in series]
+    corrected = [p for _, p in each]
     tested = [number for number, p in enumerate(corrected) if np.all(np.isfinite(p))]
     if tested:
         # Two values are one test, not two.
@@ -316,7 +316,7 @@ def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
         parts = np.split(holm(np.concatenate(counted)), np.cumsum([part.size for part in counted])[:-1])
         for number, part in zip(tested, parts, strict=True):
             corrected[number] = np.resize(part, corrected[number].size)
-    return [(difference, p) for (difference, _), p in zip(found, corrected, strict=True)]
+    return [(difference, p) for (difference, _), p in zip(each, corrected, strict=True)]
 
 
 def _from_the_rest(coefficient: CoefficientSeries) -> Apart:

@@ -325,9 +325,9 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
         # The weights of the values in their generalised least-squares mean.
         weights = np.linalg.solve(covariance, np.ones(values.size - 1))
         shared = float(weights @ whole[others, n] / weights.sum())
-        own = (whole[n, n] - 2 * shared) * (rest.chi2 / rest.dof if rest.inflated else 1.0)
+        apart = (whole[n, n] - 2 * shared) * (rest.chi2 / rest.dof if rest.inflated else 1.0)
         away = WeightedFit(
-            values[[n]] - rest.values, own + rest.covariance, 0.0, rest.dof, None, rest.inflated
+            values[[n]] - rest.values, apart + rest.covariance, 0.0, rest.dof, None, rest.inflated
         )
         differences[n], chances[n] = away.values[0], away.p_of(0)
     return differences, chances

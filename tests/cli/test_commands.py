@@ -431,6 +431,29 @@ def test_identify_refuses_responses_of_another_rig_or_recording(tmp_path: Path, 
     assert ended.code == 2 and f"was made before '{recording.name}' was changed" in ended.err
 
 
+def test_a_calibrated_copy_that_is_gone_leaves_the_rig_of_the_next_to_that(tmp_path: Path, labpipe) -> None:
+    """Of two recordings by two rigs: the other one is held against its own, and still refused by another."""
+    text = Path("configs/hmb-pedestal.yaml").read_text("utf-8")
+    table = pd.read_csv("sample_data/hmb/pedestal.csv")
+    recordings = []
+    for name, volts, rows in (("a", 8, slice(0, 12000)), ("b", 4, slice(4000, 16000))):
+        (tmp_path / f"{name}.yaml").write_text(text.replace("8 V/mm", f"{volts} V/mm"), "utf-8")
+        part = table[rows].assign(**{"y [V]": table["y [V]"][rows] * volts / 8})
+        part.to_csv(tmp_path / f"{name}.csv", index=False)
+        recordings.append({"file": f"{name}.csv", "rig": f"{name}.yaml"})
+    pipeline = yaml.safe_load(Path(PEDESTAL).read_text("utf-8"))
+    fits = {"pedestal": pipeline["identify"]["pedestal"]}
+    changed = {"recordings": recordings, "identify": fits, "expect": {}, "accept": {}}
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump({**pipeline, **changed, "rig": "a.yaml"}), "utf-8")
+    stage = ("-c", tmp_path / "p.yaml", "-o", tmp_path / "out")
+    assert labpipe("frf", *stage).code == 0
+    (tmp_path / "out/recordings/a.recording.parquet").unlink()
+    assert labpipe("identify", *stage).code == 0
+    (tmp_path / "b.yaml").write_text(text, "utf-8")
+    ended = labpipe("identify", *stage)
+    assert ended.code == 2 and "another `rig:` than there is now (channels)" in ended.err
+
+
 def test_a_calibrated_recording_keeps_to_its_rig(tmp_path: Path, labpipe) -> None:
     """The sensitivity that the rig file states now would do nothing."""
     rig = tmp_path / "rig.yaml"

@@ -152,8 +152,8 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
             share = excess[n] / (excess[n] - excess[n + 1])
             crossings.append(tuple(((1 - share) * rows[:, n] + share * rows[:, n + 1]).tolist()))
     # An integrating bearing has no coefficients at rest.
-    own = rig.supports() if rig.speed else supports[0]
-    lowest = response.modes(rig.rotor, own, rig.omega).eigenvalues[:MOST_MODES]
+    at_speed = rig.supports() if rig.speed else supports[0]
+    lowest = response.modes(rig.rotor, at_speed, rig.omega).eigenvalues[:MOST_MODES]
     theory = RotorTheory(
         rig,
         speeds,
@@ -273,8 +273,8 @@ def peaks(
             near = speed[max(n - 2, 0) : n + 3]
             closer = np.linspace(near[0], near[-1], CLOSER)
             more = finer is not None and np.ptp(near) > SHARPEST * speed[n]
-            found = peaks(closer, finer(closer), node, finer) if finer and more else []
-            criticals += found or [Critical(float(speed[n]), float(amplitude[n]), node)]
+            resolved = peaks(closer, finer(closer), node, finer) if finer and more else []
+            criticals += resolved or [Critical(float(speed[n]), float(amplitude[n]), node)]
             continue
         top, height = float(least.x), float(least.fun) ** -0.5
         beyond = amplitude < HALF_POWER * height

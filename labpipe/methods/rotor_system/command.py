@@ -49,8 +49,8 @@ def rotor(
 
     render = None if output is None else DOCUMENTS.load(output.suffix.lstrip("."))
     system = load_system(rotor_path, overrides)
-    found = _with_intervals if system.is_uncertain else _by_theory
-    entry, document = found(system, np.linspace(*_band(speeds, system.rig.speed), steps))
+    result_of = _with_intervals if system.is_uncertain else _by_theory
+    entry, document = result_of(system, np.linspace(*_band(speeds, system.rig.speed), steps))
     if json_path is not None:
         with output_file(json_path) as path:
             path.write_text(json.dumps(entry, indent=1) + "\n", encoding="utf-8")
@@ -63,12 +63,12 @@ def _by_theory(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, Any],
     from labpipe.methods.rotor import theory
 
     rig = system.rig
-    found = theory.rotor_theory(rig, speeds)
+    predicted = theory.rotor_theory(rig, speeds)
     echo(f"{rig.name}, {60 * rig.speed:g} rpm")
-    echo_table(("critical speed", "damping", "whirl"), list(theory.crossing_rows(found)), (0, 1))
-    for line in theory.sentences(found):
+    echo_table(("critical speed", "damping", "whirl"), list(theory.crossing_rows(predicted)), (0, 1))
+    for line in theory.sentences(predicted):
         echo(line)
-    return theory.rotor_entry(found), theory.rotor_document(found)
+    return theory.rotor_entry(predicted), theory.rotor_document(predicted)
 
 
 def _with_intervals(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, Any], Document]:

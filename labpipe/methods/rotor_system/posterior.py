@@ -362,9 +362,9 @@ def common_changes(posterior: SystemPosterior) -> dict[str, float]:
     unknowns = posterior.model.unknowns
     changes = {}
     for what, letter in (("stiffness", "k"), ("damping", "c")):
-        own = [u.name.removesuffix(" running").rpartition(" ")[2] for u in unknowns]
+        letters = [u.name.removesuffix(" running").rpartition(" ")[2] for u in unknowns]
         alike = np.array(
-            [u.group == "bearings" and n[0] == letter for u, n in zip(unknowns, own, strict=True)]
+            [u.group == "bearings" and n[0] == letter for u, n in zip(unknowns, letters, strict=True)]
         )
         if not alike.any() or any(u.name.startswith("all bearings") for u in unknowns):
             continue

@@ -262,8 +262,8 @@ def _drawn_peaks(
     rows: list[Critical | None] = []
     for values in draws:
         amplitude = reduced.at(at_speed(reduced.model, values), unbalance_forces(built, values), peak.node)
-        found = peaks(grid, amplitude(grid), peak.node, amplitude)
-        near = [other for other in found if abs(np.log(other.speed / peak.speed)) < apart]
+        drawn = peaks(grid, amplitude(grid), peak.node, amplitude)
+        near = [other for other in drawn if abs(np.log(other.speed / peak.speed)) < apart]
         rows.append(min(near, key=lambda other: abs(np.log(other.speed / peak.speed))) if near else None)
     return rows
 

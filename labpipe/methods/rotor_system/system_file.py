@@ -92,8 +92,8 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     damping = plain.get("damping")
     if damping is not None and isinstance(damping.content, dict) and "internal" in damping.content:
         rest = dict(damping.content)
-        own = Marked({"internal": rest.pop("internal")}, damping.where, damping.key_where)
-        settings = read_settings(InternalSettings, own, "damping", faults)
+        friction = Marked({"internal": rest.pop("internal")}, damping.where, damping.key_where)
+        settings = read_settings(InternalSettings, friction, "damping", faults)
         internal = internal if settings is None else settings.internal
         plain["damping"] = Marked(rest, damping.where, damping.key_where)
     rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
