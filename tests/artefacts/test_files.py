@@ -139,6 +139,7 @@ def correlated(draw: st.DrawFn) -> FrequencyResponse:
     return replace(plain, covariance=whole, line_correlation=correlation, line_gains=gains, blocks=blocks)
 
 
+@pytest.mark.long
 @settings(max_examples=20, suppress_health_check=CHECKS)
 @given(correlated(), st.permutations(["x", "y", "bearing2.y", "45 deg"]))
 def test_a_response_keeps_everything_it_has(
@@ -238,6 +239,7 @@ FIT = Fit(
 )
 
 
+@pytest.mark.long
 @settings(max_examples=10, suppress_health_check=CHECKS)
 @given(st.lists(fits(), max_size=2))
 def test_fits_of_a_test_come_back(tmp_path: Path, made: list[Fit]) -> None:

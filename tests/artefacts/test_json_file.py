@@ -37,6 +37,7 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
+@pytest.mark.long
 @settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.dictionaries(st.sampled_from(["a", "b", "c d", "schema"]), ENTRIES, max_size=4))
 def test_entries_come_back_in_their_order(tmp_path: Path, entries: dict[str, Any]) -> None:

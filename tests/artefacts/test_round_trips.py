@@ -55,6 +55,7 @@ def by_level(record: Any) -> Any:
 # one record type after the other
 
 
+@pytest.mark.long
 @SLOW
 @given(fits())
 def test_a_fit(tmp_path: Path, fit: Fit) -> None:

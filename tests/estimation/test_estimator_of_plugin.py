@@ -108,6 +108,7 @@ def test_a_wrapper_of_ml_is_ml(found) -> None:
         assert case["stated"] == case["plain"] == case["ml"], name
 
 
+@pytest.mark.long
 def test_one_that_states_the_properties_of_ls_is_ls(found) -> None:
     assert "leakage" in {code for code, _ in found["leakage"]["ls"]["findings"]}
     for case in found.values():

@@ -135,6 +135,7 @@ def test_support_is_subtracted_and_the_rest_shared_with_its_uncertainty(sdof_res
     assert fit.parameter("f_n").value == total.parameter("f_n").value
 
 
+@pytest.mark.long
 def test_elimination_drops_what_is_not_there(coupled_response) -> None:
     response = coupled_response(1e-8, np.random.default_rng(5))
     diagonal = np.linalg.inv(response.matrix)

@@ -118,12 +118,14 @@ def test_one_wrong_mass_of_three_is_named_with_the_others(three_dof_response) ->
     assert not findings(right, "mass")
 
 
+@pytest.mark.long
 def test_a_mass_of_two_directions(coupled_response) -> None:
     response = coupled_response(2e-8, np.random.default_rng(1))
     (right,), (wrong,) = (identify(response, FitSettings("rotor-2dof", mass=mass)) for mass in (0.92, 0.95))
     assert not findings(right, "mass") and findings(wrong, "mass")
 
 
+@pytest.mark.long
 def test_a_late_channel_of_a_matrix_is_named(coupled_response) -> None:
     """H exp(-j w tau) in the row of y, 4.85 periods of the highest line late; forces are asked too."""
     response = coupled_response(2e-8, np.random.default_rng(1))
@@ -173,6 +175,7 @@ def test_a_delay_of_more_than_a_quarter_period_is_found(sdof_response, delay: fl
     assert abs(1e3 * float(stiffness) - plain.parameter("k").value) < 4e3 * float(error)
 
 
+@pytest.mark.long
 def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
     """Only the masses of the dofs are freed, three whatever the matrix, and a coupling that is not there is a
     contradiction too.
@@ -184,6 +187,7 @@ def test_a_matrix_keeps_its_coupling(three_dof_response) -> None:
         assert re.findall(r"m_\d_\d", finding.message) == ["m_1_1", "m_2_2", "m_3_3"]
 
 
+@pytest.mark.long
 def test_nothing_is_said_where_the_data_cannot_tell(symmetric_response, sdof_response) -> None:
     """Forces' factors estimated with the rest: ratios only are known. Sliding bands: stiffness may change.
 

@@ -64,6 +64,7 @@ def test_weighted_errors_have_the_mean_zero(of_response: float, rng: np.random.G
     assert mean(moved.covariance) < 0.1 * mean(measured.covariance) + chance
 
 
+@pytest.mark.long
 def test_precise_forces_and_noise_of_responses_leave_the_covariance(rng: np.random.Generator) -> None:
     for measured in (
         noisy(rng, 1e-5, 0.1),

@@ -102,6 +102,7 @@ def test_the_mean_and_its_parts() -> None:
     assert any("means over 6 recordings" in text for text in fit.notes)
 
 
+@pytest.mark.long
 def test_noise_that_grows_with_the_response_is_that_of_a_repeat() -> None:
     """Of 50 single FRFs without a variance, a gain of 3 % from line to line: f_n and zeta scatter by what
     their errors say, within three of the 10 % of a deviation of 50 draws (of even noise: 0.43, 0.54 of it).

@@ -101,6 +101,7 @@ def rewritten(path: Path, files: Members, *, digests: bool = False) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_an_archive_is_verified_far_from_where_it_was_made(
     packed: Path, tmp_path: Path, labpipe: Command
 ) -> None:

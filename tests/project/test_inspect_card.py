@@ -65,6 +65,7 @@ def test_a_card_is_written_in_every_format(run: Path, labpipe, suffix: str) -> N
     assert (run / f"card.{suffix}").stat().st_size > 500
 
 
+@pytest.mark.long
 def test_nobody_signs_a_card(run: Path, labpipe) -> None:
     """A report's PDF has a cover page to sign; this card is one page in all."""
     labpipe("inspect", "run.csv", "-o", "card.pdf")

@@ -107,6 +107,7 @@ def test_side_by_side_is_byte_for_byte_what_one_after_the_other_gives(project: P
     assert not list(project.glob(".labpipe-*"))
 
 
+@pytest.mark.long
 def test_the_stages_take_many_tests_as_well(project: Path, labpipe) -> None:
     assert labpipe("run", project / "pipeline.yaml", "-o", project / "whole").code == 0
     assert labpipe("frf", "-c", project / "pipeline.yaml", "-o", project / "staged").code == 0

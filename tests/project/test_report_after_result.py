@@ -50,6 +50,7 @@ def test_what_stops_the_drawing_leaves_the_result(
     assert (lab / "out/report.md").exists() and result.stat().st_mtime_ns == written
 
 
+@pytest.mark.long
 def test_a_process_that_is_killed_while_drawing_leaves_the_result(lab: Path) -> None:
     script = (
         "import os, sys, labpipe.document.render as render\n"

@@ -23,6 +23,7 @@ def pipeline(tmp_path: Path) -> Path:
     return laboratory(tmp_path)
 
 
+@pytest.mark.long
 def test_nothing_is_drawn_twice(
     pipeline: Path, tmp_path: Path, labpipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -48,6 +49,7 @@ def test_nothing_is_drawn_twice(
     assert b"Other" in files[1].read_bytes()
 
 
+@pytest.mark.long
 def test_an_html_report_that_is_up_to_date_loads_nothing_that_draws(
     pipeline: Path, tmp_path: Path, labpipe
 ) -> None:

@@ -168,6 +168,7 @@ def test_every_drawing_is_drawn_in_its_size(kind: str, drawings: dict[str, Drawi
     assert tuple(canvas.get_size_inches()) == drawings[kind].size and "<path" in svg_text(canvas)
 
 
+@pytest.mark.long
 def test_the_same_chart_is_drawn_the_same_and_saved_twice_alike(every_kind: Chart) -> None:
     first, second = chart_canvas(every_kind), chart_canvas(every_kind)
     assert svg_text(first) == svg_text(second) == svg_text(first)

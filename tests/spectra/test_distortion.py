@@ -140,6 +140,7 @@ def test_a_measurement_names_what_moves_where_no_force_acts(rng: np.random.Gener
     assert notes(recording(rng, 0.5, 0.05, 0.05, 1e-3, np.arange(1, 160))) == []
 
 
+@pytest.mark.long
 def test_noise_alone_is_no_distortion() -> None:
     """Of 100 linear runs with noise of 3 % on both channels none; each fails once in 50,000 (two kinds), and
     one in 45 would be seen in nine of ten.

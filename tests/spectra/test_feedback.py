@@ -162,6 +162,7 @@ def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float |
         assert chance_of_order(force[:, None], (response + noise)[:, None]) > LEVEL
 
 
+@pytest.mark.long
 def test_of_a_rotor_left_alone_the_values_are_no_support() -> None:
     """Without injection H is minus the inverse of the controller, which is causal: no loop shows, but
     negative stiffness and damping do, all of their intervals, and the residual is far from noise.
@@ -192,6 +193,7 @@ def periodic(seed: int, periods: int, of_force: float, of_sensors: float) -> Rec
     return replace(open_loop(1, (5.0, 500.0), 0.05), samples=both)
 
 
+@pytest.mark.long
 def test_periods_show_a_loop_by_what_does_not_repeat() -> None:
     """A random force besides the periods, and noise of the force's sensor, correlate force and motion without
     any loop.
@@ -239,6 +241,7 @@ def tail(larger: float, free: float, lines: int, level: float) -> float:
     return float(np.sum(total[round((stats.chi2.isf(level, 2 * lines) - lines * step / 2) / step) :]))
 
 
+@pytest.mark.long
 def test_a_random_force_is_no_feedback_by_the_error_of_the_response(rng: np.random.Generator) -> None:
     """Twenty periods whose force scatters by .7 of its line: the response that follows from the means is
     turned by as much as the test looks for, 19 S_uu / |u|^2 = 0.475 of the variance.

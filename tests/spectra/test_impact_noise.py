@@ -66,6 +66,7 @@ def test_lines_without_enough_neighbours_stand_alone() -> None:
     np.testing.assert_array_equal(undamped.gains[:, :, 0, 0], np.eye(9)[[4, 4, 4]])
 
 
+@pytest.mark.long
 def test_variance_of_the_corrected_response_is_that_of_its_neighbours(rng: np.random.Generator) -> None:
     frequency, decay = np.arange(20.0, 70.0), 0.3
     matrix = one_mode(frequency, decay)

@@ -242,6 +242,7 @@ def test_more_references_than_forces_are_used_together() -> None:
     assert two.covariance_dof == pytest.approx(one.covariance_dof - 1)
 
 
+@pytest.mark.long
 def test_h1_travels_beside_the_frf(tmp_path: Path) -> None:
     """Through file, conversion and directional terms as the FRF itself does."""
     response = measure(runs(("random",), "xy"), replace(RANDOM, reference=("r_x", "r_y")))

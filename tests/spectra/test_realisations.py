@@ -65,6 +65,7 @@ def test_distortion_is_the_scatter_of_single_realisations(rng: np.random.Generat
     assert np.mean(levels) == pytest.approx(scatter, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_covariance_of_the_mean_holds_both_noise_and_distortion(rng: np.random.Generator) -> None:
     found = [measure([recording(rng, 0.02, 0.05) for _ in range(3)], SETTINGS) for _ in range(40)]
     observed = np.mean(np.var([each.matrix[:, 0, 0] for each in found], axis=0, ddof=1))

@@ -108,6 +108,7 @@ def test_a_large_response_is_shown_in_part(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(part.matrix[:, :, -1], response.matrix[:, :, column])
 
 
+@pytest.mark.long
 def test_memory_grows_with_the_number_of_hits() -> None:
     """Bytes at the peak beyond those of the samples, 10 against 40 hits: in proportion to the hits, not to
     their square.

@@ -100,6 +100,7 @@ def test_an_uncoupled_fit_of_the_theory_is_the_coefficient_itself() -> None:
     assert found.to_condition[0] == pytest.approx(-0.7, rel=1e-3)
 
 
+@pytest.mark.long
 def test_slopes_are_what_a_changed_shaft_and_condition_do() -> None:
     """Centred differences of the result itself over 0.2 % of the shaft's stiffness and of the theory."""
     response = measured(1.12, BENDING)

@@ -179,6 +179,7 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
     assert any("noise of dry" in note and "takes its error back" in note for note in wet.notes)
 
 
+@pytest.mark.long
 def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
     """Hoses with a mass of 5 kg fitted as K and C: the uncertainty that they bring is that of their widened
     intervals.
@@ -261,6 +262,7 @@ def test_a_wrong_form_warns_and_says_why_it_is_uncertain() -> None:
     assert sum(k.discrepancy.shares.values()) == pytest.approx(1, abs=1e-5)
 
 
+@pytest.mark.long
 def test_gains_that_bend_are_inside_the_intervals() -> None:
     """Forces that read up to 1 % too much or too little over the band, at a noise of 0.2 %: every coefficient
     of the seal is held, and by noise alone it is not.

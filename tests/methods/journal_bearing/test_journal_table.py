@@ -91,6 +91,7 @@ def test_derivatives_equal_differences(wide_table: JournalTable, parameter: str)
     np.testing.assert_allclose(found.damping_slopes[number], damping, atol=1e-5 * np.abs(damping).max())
 
 
+@pytest.mark.long
 def test_a_healthy_bore_has_no_angle_and_no_slope_by_depth_that_runs_away(wear_table: JournalTable) -> None:
     left, right = (wear_table.coefficients(worn(0.0, angle), SPEED) for angle in (-15.0, 15.0))
     np.testing.assert_allclose(left.stiffness, right.stiffness, rtol=1e-9)

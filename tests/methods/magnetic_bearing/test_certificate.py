@@ -73,6 +73,7 @@ def truth() -> dict[str, float]:
     }
 
 
+@pytest.mark.long
 def test_a_clean_recording_gives_the_truth() -> None:
     found = certificate(asked(), response(None, 1e-5), FILE)
     for name, value in truth().items():
@@ -92,6 +93,7 @@ def test_gain_and_delay_of_the_recorded_excitation_do_not_count(rng: np.random.G
         assert theirs.amount(amount.name).value == pytest.approx(amount.value, rel=1e-4)
 
 
+@pytest.mark.long
 def test_one_draw_holds_the_truth_and_counts_its_equations(rng: np.random.Generator) -> None:
     found = certificate(asked(), response(rng, 0.05), FILE)
     assert 0.85 < found.amount("chi2_reduced").value < 1.15
@@ -152,6 +154,7 @@ def test_signals_that_are_sums_of_others_are_refused(rng: np.random.Generator) -
             )
 
 
+@pytest.mark.long
 def test_margins_without_a_model_hold_the_truth() -> None:
     """50 draws at 0.5 % of noise.
 

@@ -55,6 +55,7 @@ def certified(labpipe_without_report, tmp_path: Path):
     return run
 
 
+@pytest.mark.long
 def test_a_sound_loop_is_accepted(certified, columns) -> None:
     """The decrement by Newton's method on 1 + L of the rig's own equations."""
     code, found, _ = certified(columns)

@@ -123,6 +123,7 @@ def test_a_gain_margin_that_is_seldom_told_holds_given_that_it_is_told() -> None
         assert np.mean(np.array(ends) >= 1 / (limit - away)) >= 0.975 - 4 * 0.005
 
 
+@pytest.mark.long
 def test_every_line_has_the_degrees_of_freedom_that_are_said(tmp_path: Path) -> None:
     """From a raw file whose reference repeats to the last digit: 20 periods less the one skipped give 18, and
     smoothing over two lines either way five times as many but at the ends of the band.

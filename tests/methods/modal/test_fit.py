@@ -167,6 +167,7 @@ def test_poles_by_hand() -> None:
     assert within(fit, "f_n_1", float(f[0]))
 
 
+@pytest.mark.long
 def test_modes_near_the_band_are_residual_terms() -> None:
     structure = nine_modes(10, 1501)
     response = response_of(structure, structure.noisy(0.01, 8))

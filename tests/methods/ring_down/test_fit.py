@@ -256,6 +256,7 @@ def test_decays_that_follow_the_amplitude_are_stated_in_the_unit_it_is_read_in()
     assert "are stated at 8e-07 m," in fit.notes[0]
 
 
+@pytest.mark.long
 def test_files_hold_decays_and_fits_exactly(tmp_path) -> None:
     decays = FreeDecays(
         1024.0, (Port("y", "y", "y"),), ("m",), linear().decays * 2, name="t", conditions={"preload": "1 N"}

@@ -85,6 +85,7 @@ def test_a_second_hit_is_named_before_anything_else(tmp_path: Path) -> None:
     assert holds(fit, "f_n_1", F_N) and holds(fit, "zeta_1", ZETA)
 
 
+@pytest.mark.long
 def test_a_sound_decay_has_no_jump(tmp_path: Path) -> None:
     """Ten decays; one test in a hundred calls white noise coloured, and a jump must explain that too. Where
     one in five were named, that would be seen in nine of ten.

@@ -119,6 +119,7 @@ def test_the_axial_start_is_near_the_axial_solution(
     assert solved.all() and start[0, 2] == pytest.approx(u[0, 2], rel=0.12)
 
 
+@pytest.mark.long
 def test_a_dozen_steps_as_a_rule(deep_groove: RollingBearing, mixed_loads, rng, monkeypatch) -> None:
     """Median and worst number of steps of single load cases, 1 N to 20 kN in every mix."""
     counts = []

@@ -113,6 +113,7 @@ def test_derivatives_of_every_test(number: int) -> None:
     assert_derivatives(of, test, values, range(values.size))
 
 
+@pytest.mark.long
 def test_derivatives_of_eigenvalues() -> None:
     of = built()
     values, spin = drawn(of, np.random.default_rng(5)), 600.0

@@ -45,6 +45,7 @@ def fitted():
     return of, truth, fit_system(of.model, four_tests(of, truth, rng))
 
 
+@pytest.mark.long
 def test_without_noise_the_truth_is_found_as_far_as_tests_tell() -> None:
     of = built()
     found = fit_system(of.model, four_tests(of, true_values(of), None), estimate_sizes=False)

@@ -141,6 +141,7 @@ def test_parameters_as_people_read_them(inside: JointFit) -> None:
     assert slope.value == pytest.approx(inside.values[1])
 
 
+@pytest.mark.long
 def test_without_thresholds_the_trained_ones_are_less_certain(inside: JointFit) -> None:
     alone = fit_jointly(RIG, trained("inside"), use_thresholds=False)
     assert inside.n_datum - alone.n_datum == 4

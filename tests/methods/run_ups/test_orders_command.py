@@ -121,6 +121,7 @@ def test_a_raw_file_needs_its_rig(project: Path, labpipe) -> None:
     assert ended.code == 2 and "a raw file needs its rig file" in ended.err
 
 
+@pytest.mark.long
 def test_the_axes_say_the_unit_of_what_was_measured(project: Path, labpipe) -> None:
     text = RIG.replace("quantity: displacement, unit: um", "quantity: acceleration, unit: m/s^2").replace(
         "[um]", "[m/s^2]"

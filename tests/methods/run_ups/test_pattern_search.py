@@ -91,6 +91,7 @@ def test_it_is_the_search_of_the_books() -> None:
         assert found.mesh[n] == rows[-1][2] < limits.smallest_mesh
 
 
+@pytest.mark.long
 def test_in_a_curved_valley_it_creeps_and_says_that_it_hit_the_cap() -> None:
     """From (-1.2, 1) of Rosenbrock's valley: 200 evaluations do not do, and the point is still the lowest so
     far.

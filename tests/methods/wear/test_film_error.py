@@ -50,6 +50,7 @@ def noise_of(misfit: Misfit, parameters: np.ndarray) -> np.ndarray:
     return np.linalg.inv(jacobian.T @ jacobian)
 
 
+@pytest.mark.long
 def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Minimum]) -> None:
     """Every film moved by its mesh's error and the wear estimated again: outer products of the shifts, 10 %
     for the bend of the model.
@@ -82,6 +83,7 @@ def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
     assert 0.3 * true < np.linalg.norm(error[0]) < 3 * true
 
 
+@pytest.mark.long
 def test_a_shifted_bearing_has_other_coefficients_and_the_same_slopes() -> None:
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
     change = np.arange(8.0).reshape(2, 2, 2)
@@ -124,6 +126,7 @@ def test_a_region_of_the_noise_becomes_one_of_both() -> None:
     np.testing.assert_allclose(np.einsum("ni,ij,nj->n", wide, np.linalg.inv(noise + film), wide), 1.0)
 
 
+@pytest.mark.long
 def test_little_noise_leaves_the_uncertainty_of_the_films() -> None:
     """With a hundredth of the noise the standard error does not become a hundredth."""
     rng = np.random.default_rng(4)

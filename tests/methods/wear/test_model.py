@@ -113,6 +113,7 @@ def test_wear_alone_needs_no_table_of_the_other_bearing() -> None:
     )
 
 
+@pytest.mark.long
 def test_given_parameters_are_taken_as_they_are() -> None:
     given = worn_model(
         wear_settings(viscosity=Uncertain(0.11), beta=Uncertain(2e-4), healthy=False, **COARSEST), LINES

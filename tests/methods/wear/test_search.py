@@ -63,6 +63,7 @@ def test_complex_misfit_is_the_weighted_square_of_the_residual() -> None:
     assert misfit.n_prior == 2 and misfit.residual(here).size == 2 * response.matrix.size + 2
 
 
+@pytest.mark.long
 def test_log_misfit_is_the_source_s() -> None:
     """sum log10^2(|H_model| / |H_measured|) over chosen terms."""
     response = measured(worn_rig(*TRUTH))
