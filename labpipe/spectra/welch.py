@@ -162,7 +162,7 @@ class PackedProducts(SegmentProducts):
         np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True, workers=threads())
+        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True)
         n_line, n = len(self._lines), self._n
         positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
         negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
@@ -171,18 +171,14 @@ class PackedProducts(SegmentProducts):
             positive[:, :, : trend.size] -= weight * trend
             negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
         n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
-
-        def add(starts: Sequence[int], _: int) -> None:
-            product = np.empty((transformed.shape[1], n_chunk), np.complex128)
-            for start in starts:
-                lines = slice(start, min(start + n_chunk, n_line))
-                mirrored, room = slice(n_line - lines.stop, n_line - start), product[:, : lines.stop - start]
-                for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
-                    _add_products(above, above.conj(), self._positive, lines, room)
-                    _add_products(below, below.conj(), self._negative, mirrored, room)
-                    _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
-
-        by_turns(add, range(0, n_line, n_chunk), threads())
+        product = np.empty((transformed.shape[1], n_chunk), np.complex128)
+        for start in range(0, n_line, n_chunk):
+            lines = slice(start, min(start + n_chunk, n_line))
+            mirrored, room = slice(n_line - lines.stop, n_line - start), product[:, : lines.stop - start]
+            for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
+                _add_products(above, above.conj(), self._positive, lines, room)
+                _add_products(below, below.conj(), self._negative, mirrored, room)
+                _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""

@@ -1,8 +1,8 @@
 """Speed of the spectra as ratios within one run, on the white-noise measurement of a rotor: 860,000 samples
 of 2 forces and 2 responses.
 
-The figures are printed; a test fails only where a ratio is grossly missed, since other work on the same
-machine disturbs them.
+The figures are printed; a test fails only where a ratio is grossly missed, about twice what the page of costs
+states, since other work on the same machine and on its neighbours disturbs them.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def bare_ffts(columns: np.ndarray, block: int = BLOCK) -> None:
         fft.rfft(columns[:, start : start + block], axis=1)
 
 
-@pytest.mark.parametrize(("block", "least"), [(BLOCK, 6), (25_600, 4)])
+@pytest.mark.parametrize(("block", "most", "least"), [(BLOCK, 8, 6), (25_600, 6, 4)])
 def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(
-    samples: np.ndarray, capsys: pytest.CaptureFixture[str], block: int, least: float
+    samples: np.ndarray, capsys: pytest.CaptureFixture[str], block: int, most: float, least: float
 ) -> None:
     recording, columns = Recording(CHANNELS, samples, RATE, "run"), np.ascontiguousarray(samples.T)
     settings = FrfSettings(excitation="random", block=block / RATE)
@@ -90,7 +90,7 @@ def test_mimo_frf_in_memory_against_the_bare_ffts_and_scipy(
             f"\nMIMO FRF with covariance, blocks of {block}: {own:.2f} times the bare FFTs; "
             f"scipy.signal.csd {peer:.1f} times"
         )
-    assert own < 4.5
+    assert own < most
     assert peer > least * own
 
 
@@ -116,7 +116,7 @@ def test_frf_of_many_channels_in_memory_against_the_bare_ffts(capsys: pytest.Cap
             f"\nFRF of 8 responses to 2 forces, blocks of 25,600: {own:.2f} times the bare FFTs; "
             f"{by_clock:.2f} times by the clock"
         )
-    assert own < 6
+    assert own < 9
 
 
 def test_the_matrix_is_that_of_scipy_to_1e10(samples: np.ndarray) -> None:
