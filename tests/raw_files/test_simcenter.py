@@ -129,6 +129,14 @@ def test_the_label_counts_only_where_numbers_are_not_in_si(
     assert open_table(tmp_path / "run.mat").units.get("a") == unit
 
 
+def test_a_base_that_the_terms_leave_out_has_the_power_0(tmp_path: Path, rng: np.random.Generator) -> None:
+    content = {"S": structure(rng.normal(size=(300, 1)), 1e-3, "mil", {BASES[0]: 1}, ("a",))}
+    quantity = content["S"]["y_values"]["quantity"]
+    quantity["quantity_terms"] = quantity["quantity_terms"][:2]
+    savemat(tmp_path / "run.mat", content)
+    assert open_table(tmp_path / "run.mat").units.get("a") == "m"
+
+
 @pytest.mark.parametrize("term", [(1.0, 0.0, "LENGTH"), ("x", 1.0, "LENGTH"), (1.0, np.ones(2), "LENGTH")])
 def test_damaged_terms_of_a_unit_are_no_unit(
     tmp_path: Path, rng: np.random.Generator, term: tuple[Any, ...]

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from scipy import stats
 
+from labpipe.methods.balancing.balance_file import model as stored_model
 from labpipe.methods.balancing.influence import (
     Influence,
     Noise,
@@ -355,6 +356,21 @@ def test_a_grade_and_masses_in_places_are_said(labpipe, tmp_path):
     assert "within the permissible 0.239 g mm" in ended.out
     ended = labpipe(*given, "--set", "mass=30 g")
     assert f"at most {left:.3g} g mm (95 %), beyond the permissible 0.239 g mm" in ended.out
+
+
+def test_a_stored_model_is_read_with_and_without_its_doubt(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Two lines and planes; asked for are the second line and plane, with errors half as wide again."""
+    mean, root = rng.standard_normal((2, 2, 3)), rng.standard_normal((2, 2, 3, 4))
+    influence = {"planes": ["a", "b"], "readings": ["x", "y"], "widened": 1.5}
+    influence |= {"mean": mean.ravel().tolist(), "root": root.tolist()}
+    path = tmp_path / "rotor_system.json"
+    path.write_text(json.dumps({"rotor_system": {"balance": {"influence": influence}}}), "utf-8")
+    known, lines = stored_model(path, ("b",), ("y",))
+    kept = root[:, 1][:, [0, 2]].reshape(4, 4)
+    assert lines == ("y",) and known.modelled and known.narrow is not None
+    np.testing.assert_array_equal(known.mean, [mean[0, 1, [0, 2]] + 1j * mean[1, 1, [0, 2]]])
+    np.testing.assert_allclose(known.joint, kept @ kept.T, rtol=1e-12)
+    np.testing.assert_allclose(known.narrow.joint, kept @ kept.T / 2.25, rtol=1e-12)
 
 
 def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:

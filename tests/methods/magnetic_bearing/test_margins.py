@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
@@ -47,7 +48,13 @@ def test_the_disk_is_within_gain_and_phase() -> None:
     """Disk margin a: gains from (2 - a) / (2 + a) to its inverse are safe, and phases to 2 atan(a / 2)
     (Seiler et al. 2020).
     """
-    found = margins(lambda w: 10 / ((1j * w + 1e-300) * (1j * w + 1) * (1j * w + 5)), 1e3)
+
+    def loop(w: np.ndarray) -> np.ndarray:
+        return 10 / ((1j * w + 1e-300) * (1j * w + 1) * (1j * w + 5))
+
+    found = margins(loop, 1e3)
+    skew = optimize.minimize_scalar(lambda w: -abs(1 / (1 + loop(w)) - 0.5), bounds=(1, 3), method="bounded")
+    assert found.disk == pytest.approx(-1 / skew.fun, rel=1e-9)
     assert (2 + found.disk) / (2 - found.disk) <= found.gain_upper
     assert 2 * np.arctan(found.disk / 2) <= found.phase
     assert 1 / found.peak >= found.disk / (1 + found.disk / 2) - 1e-9
