@@ -182,8 +182,8 @@ def read_many_tests(folder: Path) -> dataset.ManyTests:
     valid = table.filter(pc.is_valid(table["parameter"]))
     return dataset.ManyTests(
         tuple(_columns(valid)),
-        failed=tuple(_name(table.filter(pc.is_valid(table["failed"])), "failed")),
-        not_accepted=tuple(_name(table.filter(pc.equal(table["accepted"], False)), "warnings")),
+        failed=tuple(first_tests(table.filter(pc.is_valid(table["failed"])), "failed")),
+        not_accepted=tuple(first_tests(table.filter(pc.equal(table["accepted"], False)), "warnings")),
     )
 
 
@@ -226,7 +226,7 @@ def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
                 yield name, (units.pop(), _numbers(table, column))
 
 
-def _name(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
+def first_tests(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:
     """The first tests of some rows with their conditions, each once."""
     conditions = [name for name in table.column_names if name.startswith(CONDITION)]
     seen: set[str] = set()

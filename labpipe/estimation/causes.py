@@ -102,7 +102,7 @@ def mass_findings(
     fit = _free_fit(measured, free, np.concatenate([values, given]), stated)
     if fit is None:
         return []
-    p_value = _p_value(fit, given)
+    p_value = mass_p_value(fit, given)
     if p_value >= CONTRADICTED_P:
         return []
     return [Finding("mass", _message(free, given, fit, values, p_value, setup))]
@@ -171,8 +171,8 @@ def _least_square(whiten: FloatArray, off: FloatArray, limits: FloatArray) -> fl
     return 2 * float(scipy.optimize.lsq_linear(whiten, whiten @ off, (-limits, limits)).cost)
 
 
-def _p_value(fit: _FreeFit, given: FloatArray) -> float:
-    """Chance of masses so far from the *given* ones (n_mass,) if these are right within TOLERANCE:
+def mass_p_value(fit: _FreeFit, given: FloatArray) -> float:
+    """Chance of masses so far from the *given* ones (n_mass,) [kg] if these are right within TOLERANCE:
     Hotelling's T^2 of all together.
     """
     n, (values, whole, dof) = given.size, fit
@@ -260,7 +260,7 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     """
     if not has_noise(measured):
         return {}
-    channels = _late_channels(measured)
+    channels = late_channels(measured)
     try:
         grids = [
             (*start, name)
@@ -318,7 +318,8 @@ def is_late(delay: float, error: float, highest: float) -> bool:
     return abs(delay) * highest >= LEAST_PHASE and abs(delay) >= SURE_DELAY * error
 
 
-def _late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
+def late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
+    """Channels whose delay would explain a fit, and the elements (n_output, n_input) that each delays."""
     shape = measured.matrix.shape[1:]
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     row, column = np.indices(shape)

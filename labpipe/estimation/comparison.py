@@ -226,7 +226,7 @@ def candidates(
     if not has_noise(measured):
         return (), ()
     whole = setup.settings.compare
-    variants = _variants(setup.settings) if whole else _damping_variants(setup.settings)
+    variants = variants_of(setup.settings) if whole else _damping_variants(setup.settings)
     results: dict[str, Candidate | None] = {}
     for variant in variants:
         try:
@@ -282,7 +282,8 @@ def _orders(measured: Measured, n_output: int) -> dict[str, Candidate | None]:
     return orders
 
 
-def _variants(settings: FitSettings) -> list[_Variant]:
+def variants_of(settings: FitSettings) -> list[_Variant]:
+    """The fit itself by ml over one band, then richer and simpler models."""
     plain = replace(settings, estimator="ml", weight="none", eliminate=False, sliding=None, bands=())
     richer = _richer(plain)
     this = _Variant(f"{THIS}: {_description(plain)}", plain, tuple(variant.name for variant in richer))

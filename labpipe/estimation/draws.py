@@ -50,7 +50,7 @@ def bootstrap(
         "covariance (bootstrap)."
     )
     scattered = (
-        _with_scatter(parameter, [values[parameter.name] for values in refits if parameter.name in values])
+        with_scatter(parameter, [values[parameter.name] for values in refits if parameter.name in values])
         for parameter in parameters
     )
     return tuple(scattered), note
@@ -87,7 +87,8 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
 
 
-def _with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
+def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
+    """The parameter with standard error and interval of its *values* in refits, where enough converged."""
     if parameter.std_error is None or len(values) < FEWEST_REPEATS * (1 - MOST_FAILED):
         return parameter
     low, high = np.percentile(values, [2.5, 97.5])
@@ -146,7 +147,7 @@ def propagate(
         f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty "
         "(Monte Carlo, JCGM 101:2008)."
     )
-    drawn_parameters = (_with_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True))
+    drawn_parameters = (with_drawn_interval(p, *ends) for p, *ends in zip(parameters, low, high, strict=True))
     return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
@@ -181,7 +182,7 @@ def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
     return uncertainty.std_error * float(drawn)
 
 
-def _with_interval(parameter: Parameter, low: float, high: float) -> Parameter:
+def with_drawn_interval(parameter: Parameter, low: float, high: float) -> Parameter:
     """The parameter with the ends of its draws, and with the model error, which they do not hold, beside."""
     if parameter.ci95 is None or parameter.std_error is None or parameter.full_error is None:
         return parameter

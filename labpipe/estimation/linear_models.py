@@ -57,7 +57,7 @@ def rotor_2dof(setup: Setup) -> DynamicModel:
     count. ConfigError where ports, mass or directions do not fit the model.
     """
     _need_ports(setup, "rotor-2dof", 2)
-    axes = _axes(setup.outputs)
+    axes = axes_of(setup.outputs)
     mass = _mass_or_error(setup)
     shape = (2, len(setup.inputs))
     places = list(zip("xy", np.argsort(axes).tolist(), strict=True))
@@ -98,7 +98,7 @@ def rotor_2dof_direct(setup: Setup) -> DynamicModel:
     if None in angles:
         hint = "give its dof in the rig file as x, y or an angle such as '45 deg'"
         raise ConfigError(f"the direction of the force {labels(setup.inputs)} is unknown", hint=hint)
-    axes = _axes(setup.outputs)
+    axes = axes_of(setup.outputs)
     force = _directions(setup.outputs, axes, [angle for angle in angles if angle is not None])
     shape = (len(axes), len(setup.inputs))
     for row, axis in enumerate(axes):
@@ -121,7 +121,7 @@ def _mass_or_error(setup: Setup) -> float:
     return mass
 
 
-def _axes(outputs: tuple[Port, ...]) -> list[int]:
+def axes_of(outputs: tuple[Port, ...]) -> list[int]:
     """0 for x, 1 for y of every response: by its dof or label; of two other names the first is x."""
     named = [
         next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None)
@@ -192,7 +192,7 @@ def mdof(setup: Setup) -> DynamicModel:
     if len(set(dofs)) < len(dofs):
         what = f"two of the responses {labels(setup.outputs)} have one dof"
         raise ConfigError(what, hint="choose with `output`")
-    force = np.column_stack([_direction(port, dofs, setup) for port in setup.inputs])
+    force = np.column_stack([force_direction(port, dofs, setup) for port in setup.inputs])
     shape, symmetric = setup.shape, settings.symmetric
     terms = [
         *_entries("k", "stiffness", dofs, shape, symmetric),
@@ -241,8 +241,8 @@ def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
     return entries
 
 
-def _direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
-    """Distribution of a force (n_dof,): on the output of its dof, or by its angle on x and y."""
+def force_direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
+    """Distribution of a force (n_dof,) [1]: on the output of its dof, or by its angle on x and y."""
     if port.dof in dofs:
         return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)

@@ -148,23 +148,23 @@ def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
 
 
 @dataclass(frozen=True)
-class _Values:
-    """One parameter of every repeat: values and variances by noise (n,), of its logarithm where *log*."""
+class RepeatValues:
+    """One parameter of every repeat: values and variances by noise (n,) [SI], of its logarithm where *log*."""
 
     values: FloatArray
     variances: FloatArray
     log: bool
 
     @classmethod
-    def of(cls, parameters: Sequence[Parameter]) -> _Values:
+    def of(cls, parameters: Sequence[Parameter]) -> RepeatValues:
         values = np.array([p.value for p in parameters])
         errors = np.array([p.std_error or 0.0 for p in parameters])
         if np.all(values * values[0] > 0):
             return cls(np.log(np.abs(values)), (errors / values) ** 2, True)
         return cls(values, errors**2, False)
 
-    def chosen(self, used: Sequence[bool]) -> _Values:
-        return _Values(self.values[np.array(used)], self.variances[np.array(used)], self.log)
+    def chosen(self, used: Sequence[bool]) -> RepeatValues:
+        return RepeatValues(self.values[np.array(used)], self.variances[np.array(used)], self.log)
 
 
 def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
@@ -175,7 +175,7 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
     ]
     if not names:
         return pooled
-    columns = {name: _Values.of([of_repeat[name] for of_repeat in by_name]) for name in names}
+    columns = {name: RepeatValues.of([of_repeat[name] for of_repeat in by_name]) for name in names}
     judged = [name for name in names if name.startswith((*FREQUENCY, *DAMPING))] or names
     groups = groups_of(test.settings.repeat_groups, recordings) if test.settings.repeat_groups else ()
     levels = None if groups else test.levels(places)
@@ -194,9 +194,9 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
             if used[place] and (name in columns or _usable(of.get(name)))
         ]
         if name in columns or 2 * len(shown) > len(good) > 1:
-            of = _Values.of([by_name[place][name] for place in shown])
+            of = RepeatValues.of([by_name[place][name] for place in shown])
             along = None if course is None else course.covariate[[sum(used[:place]) for place in shown]]
-            scale = _scale(parameter, of, ratios)
+            scale = prior_scale(parameter, of, ratios)
             of_groups = [groups[place] for place in shown] if groups else ()
             means[name] = (
                 mean_of_groups(of.values, of.variances, of_groups, scale)
@@ -215,7 +215,7 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
             ends = () if groups or name not in columns else (0, -1)
             aside = [by_name[end][name] for end in ends if not used[end]]
             stated.append(
-                _statement(parameter, means[name], of, common.get(name), pooled.dof, summary, aside)
+                stated_mean(parameter, means[name], of, common.get(name), pooled.dof, summary, aside)
             )
         else:
             stated.append(parameter)
@@ -245,7 +245,7 @@ class _Course:
 
 
 def _course(
-    levels: FloatArray | None, judged: Sequence[_Values], groups: Sequence[str]
+    levels: FloatArray | None, judged: Sequence[RepeatValues], groups: Sequence[str]
 ) -> tuple[Kept, _Course | None]:
     """Which repeats are used, and what *judged* follows: their *levels* (n,) over the middle one less 1, else
     their order, from -1/2 to 1/2; None where neither, or of named *groups*.
@@ -271,7 +271,7 @@ def _usable(parameter: Parameter | None) -> bool:
     return parameter is not None and bool(parameter.std_error) and bool(np.isfinite(parameter.value))
 
 
-def _scale(parameter: Parameter, of: _Values, ratios: Mapping[str, float]) -> float:
+def prior_scale(parameter: Parameter, of: RepeatValues, ratios: Mapping[str, float]) -> float:
     """Of the prior of the scatter: 0.3 zeta of ln f, 0.3 of ln zeta, else twice the scatter of the repeats or
     their noise, also that of the *parameter* of all together.
     """
@@ -340,10 +340,10 @@ def _common_part(common: Parameter | None, *, log: bool) -> tuple[float, float]:
     return shift, float(np.sqrt(max(reach**2 - (NORMAL * common.std_error / size) ** 2, 0.0)))
 
 
-def _statement(
+def stated_mean(
     parameter: Parameter,
     mean: RepeatMean,
-    of: _Values,
+    of: RepeatValues,
     common: Parameter | None,
     dof: int,
     summary: Repeats,

@@ -69,7 +69,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
     names = list(dataset_file.columns_of_conditions(table.column_names))
     amounts = {condition: _amounts(table, condition) for condition in names}
     sorted_rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
-    rows = [_value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in sorted_rows]
+    rows = [value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in sorted_rows]
     # A date that is no day is neither before nor after another.
     return [row for row in rows if _day(row) is not None or not (criteria.since or criteria.until)]
 
@@ -115,10 +115,12 @@ def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
 
 
 def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
-    return functools.reduce(lambda chosen, text: chosen.filter(_holds(chosen, text)), conditions, table)
+    return functools.reduce(
+        lambda chosen, text: chosen.filter(condition_holds(chosen, text)), conditions, table
+    )
 
 
-def _holds(table: pa.Table, text: str) -> Any:
+def condition_holds(table: pa.Table, text: str) -> Any:
     """Whether a condition holds, for every row; ConfigError for one that no test has, or as of `meeting`."""
     name, _, _ = split_condition(text)
     if dataset_file.CONDITION + name not in table.column_names:
@@ -133,9 +135,10 @@ def _amounts(table: pa.Table, condition: str) -> dict[str, tuple[float | None, s
     return {text: dataset_file.amount_of(text) for text in texts if text is not None}
 
 
-def _value_row(
+def value_row(
     row: dict[str, Any], path: str, amounts: Mapping[str, Mapping[str, tuple[float | None, str]]]
 ) -> ValueRow:
+    """A *row* of a dataset at *path*; *amounts*: SI values and units of its conditions by their texts."""
     entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
     texts = {name: text for name in amounts if (text := row[dataset_file.CONDITION + name]) is not None}
     of_row = {name: amounts[name][text] for name, text in texts.items()}

@@ -108,13 +108,13 @@ def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
                 if entry != NO_ENTRY:
                     set_entry(file.tree, f"{entry}={value!r} {unit}")
             (coefficients,) = file.coefficients([file.settings()])
-            theories[conditions] = _in_rig_axes(coefficients, theory.axes)
+            theories[conditions] = in_rig_axes(coefficients, theory.axes)
         return theories[conditions]
 
     return at
 
 
-def _in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
+def in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
     """k_xx ... c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point
     the other way.
     """

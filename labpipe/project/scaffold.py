@@ -149,7 +149,7 @@ def _rig(first: FirstLook, path: Path) -> str:
     for channel in first.channels:
         several = channel.unit == DECIDE and open_units.count(channel.quantity) > 1
         anchor = "*" if channel.quantity in seen else "&"
-        lines.append(_channel_line(channel, anchor if several else ""))
+        lines.append(channel_line(channel, anchor if several else ""))
         if channel.unit == DECIDE:
             seen.add(channel.quantity)
     lines.extend(f"# not used: {unused}" for unused in first.unused)
@@ -157,7 +157,7 @@ def _rig(first: FirstLook, path: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
+def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     """A channel; *anchor*: of a unit that several channels of a quantity share, '&' where it is decided, '*'
     where it is only referred to.
     """

@@ -374,7 +374,7 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
         plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
         folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
         paths = (there.path for there in below(folder))
-        objects = [path for path in paths if _matches(path.parts[plain:], pattern)]
+        objects = [path for path in paths if glob_matches(path.parts[plain:], pattern)]
     if not objects:
         what = "no object matches" if glob.has_magic(node.text) else "no such object"
         faults.add(
@@ -383,7 +383,7 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
     return objects
 
 
-def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
+def glob_matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
     """Whether a path is of a glob, both part by part: '**' stands for any folders. What begins with a point
     is hidden, as on a disk.
     """
@@ -391,8 +391,8 @@ def _matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
         return not names and all(part == "**" for part in pattern)
     hidden = names[0].startswith(".") and not pattern[0].startswith(".")
     if pattern[0] == "**":
-        return _matches(names, pattern[1:]) or (not hidden and _matches(names[1:], pattern))
-    return not hidden and fnmatchcase(names[0], pattern[0]) and _matches(names[1:], pattern[1:])
+        return glob_matches(names, pattern[1:]) or (not hidden and glob_matches(names[1:], pattern))
+    return not hidden and fnmatchcase(names[0], pattern[0]) and glob_matches(names[1:], pattern[1:])
 
 
 def plain_stem(path: Path) -> str:

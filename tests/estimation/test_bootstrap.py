@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.estimation.draws import _with_scatter
+from labpipe.estimation.draws import with_scatter
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import Parameter
@@ -43,17 +43,17 @@ def test_error_and_interval_are_those_of_the_refits() -> None:
     """
     values = [float(n) for n in range(201)]
     plain = Parameter("k", 100.0, "N/m", std_error=1.0, t_ratio=100.0, ci95=(98.0, 102.0), significant=True)
-    found = _with_scatter(plain, values)
+    found = with_scatter(plain, values)
     error = np.sqrt(201 * 202 / 12)
     assert (found.std_error, found.t_ratio, found.ci95) == (
         pytest.approx(error),
         pytest.approx(100 / error),
         (5.0, 195.0),
     )
-    assert found.significant and _with_scatter(plain, [value - 10 for value in values]).significant is False
-    assert _with_scatter(plain, values[:47]) == plain != _with_scatter(plain, values[:48])
+    assert found.significant and with_scatter(plain, [value - 10 for value in values]).significant is False
+    assert with_scatter(plain, values[:47]) == plain != with_scatter(plain, values[:48])
     derived = replace(plain, std_error=None)
-    assert _with_scatter(derived, values) == derived
+    assert with_scatter(derived, values) == derived
 
 
 def test_what_bootstrap_needs_is_said(sdof_response) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.estimation.draws import _with_interval, drawn_error
+from labpipe.estimation.draws import drawn_error, with_drawn_interval
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.project.judging import judge
@@ -319,9 +319,9 @@ def test_draws_leave_the_model_error_in_the_interval() -> None:
     stated = Parameter("k", 10.0, "N/m", std_error=0.3, std_error_inflated=1.3, systematic=0.4, fitted=9.5)
     stated = dataclasses.replace(stated, ci95=(10 - 1.96 * 1.3, 10 + 1.96 * 1.3))
     drawn = (9.5 - 1.96 * 0.5, 9.5 + 1.96 * 0.5)
-    assert _with_interval(stated, *drawn).ci95 == pytest.approx(stated.ci95)
+    assert with_drawn_interval(stated, *drawn).ci95 == pytest.approx(stated.ci95)
     sound = dataclasses.replace(stated, value=9.5, fitted=None, std_error_inflated=0.5)
-    assert _with_interval(sound, *drawn).ci95 == drawn
+    assert with_drawn_interval(sound, *drawn).ci95 == drawn
 
 
 def test_draws_without_a_frequency_are_failed_refits() -> None:

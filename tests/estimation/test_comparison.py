@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.estimation.comparison import _variants, comparison_findings
+from labpipe.estimation.comparison import comparison_findings, variants_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
@@ -54,7 +54,7 @@ GENERAL, SYMMETRIC = {"symmetric": False}, {"symmetric": True}
     ],
 )
 def test_one_assumption_more_or_less_at_a_time(settings: dict[str, Any], names: list[str]) -> None:
-    variants = _variants(FitSettings(**settings))
+    variants = variants_of(FitSettings(**settings))
     assert [variant.name for variant in variants] == [f"this model: {names[0]}", *names[1:]]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.estimation.causes import _late_channels, _p_value
+from labpipe.estimation.causes import late_channels, mass_p_value
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
@@ -129,7 +129,7 @@ def test_a_mass_of_two_directions(coupled_response) -> None:
 def test_a_late_channel_of_a_matrix_is_named(coupled_response) -> None:
     """H exp(-j w tau) in the row of y, 4.85 periods of the highest line late; forces are asked too."""
     response = coupled_response(2e-8, np.random.default_rng(1))
-    rows = [(name, np.argwhere(late).tolist()) for name, late in _late_channels(measured(response))]
+    rows = [(name, np.argwhere(late).tolist()) for name, late in late_channels(measured(response))]
     assert rows[:2] == [("x", [[0, 0], [0, 1]]), ("y", [[1, 0], [1, 1]])]
     assert rows[2:] == [("fx", [[0, 0], [1, 0]]), ("fy", [[0, 1], [1, 1]])]
     matrix = np.array(response.matrix)
@@ -223,15 +223,15 @@ def test_the_chance_of_masses_is_that_of_student_and_of_hotelling() -> None:
     T^2 = 2^2 + 3^2, T^2 (dof - 1) / (2 dof) as F of 2 and dof - 1.
     """
     one = (np.array([5.0, 1.03]), np.diag([1.0, 0.01**2]), 10.0)
-    assert _p_value(one, np.array([1.0])) == pytest.approx(2 * stats.t.sf(2.0, 10), rel=1e-9)
+    assert mass_p_value(one, np.array([1.0])) == pytest.approx(2 * stats.t.sf(2.0, 10), rel=1e-9)
     two = (np.array([5.0, 1.03, 1.94]), np.diag([1.0, 0.01**2, (0.04 / 3) ** 2]), 10.0)
-    assert _p_value(two, np.array([1.0, 2.0])) == pytest.approx(stats.f.sf(13 * 9 / 20, 2, 9), rel=1e-6)
+    assert mass_p_value(two, np.array([1.0, 2.0])) == pytest.approx(stats.f.sf(13 * 9 / 20, 2, 9), rel=1e-6)
 
 
 def test_frfs_met_to_the_last_digit_tell_the_mass_for_certain() -> None:
     """No scatter at all: masses within the tolerance of 1 % are right, others wrong."""
     for mass, p_value in ((1.005, 1.0), (1.02, 0.0)):
-        assert _p_value((np.array([5.0, mass]), np.zeros((2, 2)), 100.0), np.array([1.0])) == p_value
+        assert mass_p_value((np.array([5.0, mass]), np.zeros((2, 2)), 100.0), np.array([1.0])) == p_value
 
 
 @pytest.mark.parametrize("estimator", ["ls", "ml"])

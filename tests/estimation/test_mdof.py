@@ -12,7 +12,7 @@ from scipy import linalg
 from labpipe.errors import ConfigError
 from labpipe.estimation.derived import Estimated, correct, is_direct
 from labpipe.estimation.fitting import identify
-from labpipe.estimation.linear_models import _axes, _direction
+from labpipe.estimation.linear_models import axes_of, force_direction
 from labpipe.estimation.settings import FitSettings, Support
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
@@ -173,7 +173,7 @@ def test_responses_are_x_and_y_by_name_and_else_by_their_order() -> None:
     def ports(*names: str) -> tuple[Port, ...]:
         return tuple(Port(name, name, name) for name in names)
 
-    assert [_axes(ports(*names)) for names in ("xy", "yx", "ab", "yb", "ax", "x")] == [
+    assert [axes_of(ports(*names)) for names in ("xy", "yx", "ab", "yb", "ax", "x")] == [
         [0, 1],
         [1, 0],
         [0, 1],
@@ -182,7 +182,7 @@ def test_responses_are_x_and_y_by_name_and_else_by_their_order() -> None:
         [0],
     ]
     with pytest.raises(ConfigError, match="response 'a' is neither x nor y"):
-        _axes(ports("a"))
+        axes_of(ports("a"))
 
 
 def test_a_force_at_an_angle_acts_on_x_and_y_by_its_cosines() -> None:
@@ -191,12 +191,12 @@ def test_a_force_at_an_angle_acts_on_x_and_y_by_its_cosines() -> None:
     setup = SimpleNamespace(outputs=(x, y))
     for degrees, shares in ((30.0, [0.75**0.5, 0.5]), (90.0, [0.0, 1.0]), (180.0, [-1.0, 0.0])):
         force = Port("f", "f", f"{degrees:g} deg", np.deg2rad(degrees))
-        direction = _direction(force, ["x", "y"], setup)
+        direction = force_direction(force, ["x", "y"], setup)
         np.testing.assert_allclose(direction, shares, atol=1e-15)
         assert (direction == 0).tolist() == [share == 0 for share in shares]
-    np.testing.assert_array_equal(_direction(Port("f", "f", "y"), ["x", "y"], setup), [0, 1])
+    np.testing.assert_array_equal(force_direction(Port("f", "f", "y"), ["x", "y"], setup), [0, 1])
     with pytest.raises(ConfigError, match="acts on dof 'z', which has no response"):
-        _direction(Port("f", "f", "z"), ["x", "y"], setup)
+        force_direction(Port("f", "f", "z"), ["x", "y"], setup)
 
 
 def test_a_force_at_another_point_in_the_same_direction_has_no_response() -> None:
@@ -209,9 +209,9 @@ def test_a_force_at_another_point_in_the_same_direction_has_no_response() -> Non
         return SimpleNamespace(outputs=tuple(Port(dof, dof, dof, 0.0) for dof in dofs))
 
     with pytest.raises(ConfigError, match="which has no response"):
-        _direction(Port("f", "f", "3.x", 0.0), ["1.x", "2.x"], setup("1.x", "2.x"))
+        force_direction(Port("f", "f", "3.x", 0.0), ["1.x", "2.x"], setup("1.x", "2.x"))
     inclined = Port("f", "f", "60 deg", np.pi / 3)
-    np.testing.assert_allclose(_direction(inclined, ["x"], setup("x")), [0.5])
+    np.testing.assert_allclose(force_direction(inclined, ["x"], setup("x")), [0.5])
 
 
 def test_points_of_several_digits_are_told_apart() -> None:

@@ -16,7 +16,7 @@ from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
 from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
-from labpipe.estimation.repeated import _statement, _Values
+from labpipe.estimation.repeated import RepeatValues, stated_mean
 from labpipe.estimation.repeats import RepeatMean
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
@@ -245,8 +245,8 @@ def test_an_interval_reaches_as_far_as_numbers_do() -> None:
     """A logarithm known to 2.4 +- 800: exp(710) is no number any more, and nothing is said of it."""
     mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0))
     damping = Parameter("c", 11.0, "N.s/m", std_error=0.1, ci95=(10.8, 11.2))
-    of = _Values(np.log([10.0, 12.0]), np.full(2, 1e-4), log=True)
-    found = _statement(damping, mean, of, None, 1, Repeats(2, 2, 0.1, ()))
+    of = RepeatValues(np.log([10.0, 12.0]), np.full(2, 1e-4), log=True)
+    found = stated_mean(damping, mean, of, None, 1, Repeats(2, 2, 0.1, ()))
     assert found.ci95 is not None and found.ci95[1] == np.inf
 
 

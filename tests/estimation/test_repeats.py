@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
-from labpipe.estimation.repeated import _scale, _Values
+from labpipe.estimation.repeated import RepeatValues, prior_scale
 from labpipe.estimation.repeats import (
     Kept,
     hartung_knapp,
@@ -222,7 +222,7 @@ def test_few_repeats_of_a_quantity_of_unknown_scatter_hold_their_mean(spread: fl
     rng, held = np.random.default_rng(11), 0
     for _ in range(300):
         logs = 0.01 * np.hypot(1.0, spread) * rng.normal(size=3)
-        of = _Values(logs, np.full(3, 1e-4), log=True)
-        mean = repeat_mean(of.values, of.variances, _scale(Parameter("c", 1.0, "N.s/m"), of, {}))
+        of = RepeatValues(logs, np.full(3, 1e-4), log=True)
+        mean = repeat_mean(of.values, of.variances, prior_scale(Parameter("c", 1.0, "N.s/m"), of, {}))
         held += abs(mean.value) < mean.half_width
     assert held >= 275

@@ -15,10 +15,10 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from labpipe.artefacts.dataset_file import _name
+from labpipe.artefacts.dataset_file import first_tests
 from labpipe.errors import ConfigError
 from labpipe.project.catalogue import VALUE_COLUMNS
-from labpipe.project.catalogue_search import _holds, _value_row
+from labpipe.project.catalogue_search import condition_holds, value_row
 from labpipe.project.executors import Execute, Work, serially
 from labpipe.project.one_test import Done, Job
 from tests.project.laboratory import PIPELINE, contents, laboratory, recording
@@ -283,10 +283,10 @@ def test_a_date_that_is_no_day_is_not_that_of_the_file() -> None:
     """As of single results: the catalogue shows what stands there."""
     names = [name for name in VALUE_COLUMNS if name not in ("path", "changes", "std_error")]
     row = {**dict.fromkeys(names), "full_error": 1.0, "changes": [], "date": "2026-11-29"}
-    assert _value_row(
+    assert value_row(
         {**row, "condition.date": "03/11/2026"}, "p", {"date": {"03/11/2026": (None, "")}}
     ).date == ("03/11/2026")
-    assert _value_row({**row, "condition.date": None}, "p", {"date": {}}).date == "2026-11-29"
+    assert value_row({**row, "condition.date": None}, "p", {"date": {}}).date == "2026-11-29"
 
 
 def test_tests_that_failed_are_named_once_with_their_conditions() -> None:
@@ -301,7 +301,7 @@ def test_tests_that_failed_are_named_once_with_their_conditions() -> None:
             "condition.oil": ["VG 32"] * 240,
         }
     )
-    named = list(_name(table, "failed"))
+    named = list(first_tests(table, "failed"))
     assert len(named) == 100 and named[-1][0] == "t099"
     assert named[:2] == [("t000", "oil VG 32", "no peak"), ("t001", "load 1 N, oil VG 32", "")]
 
@@ -331,13 +331,13 @@ def test_conditions_choose_rows_by_amounts_or_words(condition: str, kept: list[i
             "amount.oil": pa.array([None] * 4, pa.float64()),
         }
     )
-    assert table.filter(_holds(table, condition))["row"].to_pylist() == kept
+    assert table.filter(condition_holds(table, condition))["row"].to_pylist() == kept
     with pytest.raises(ConfigError, match="no test has the condition 'lod'"):
-        _holds(table, "lod = 1 N")
+        condition_holds(table, "lod = 1 N")
     with pytest.raises(ConfigError, match="is in N, not in m"):
-        _holds(table, "load = 1 m")
+        condition_holds(table, "load = 1 m")
     with pytest.raises(ConfigError, match="oil > VG 32"):
-        _holds(table, "oil > VG 32")
+        condition_holds(table, "oil > VG 32")
     mixed = pa.table({"row": [0, 1, 2], "condition.load": ["1 N", "2 mm", "high"]})
-    assert mixed.filter(_holds(mixed, "load >= 0.5 N"))["row"].to_pylist() == [0]
-    assert mixed.filter(_holds(mixed, "load != 2 mm"))["row"].to_pylist() == [0, 2]
+    assert mixed.filter(condition_holds(mixed, "load >= 0.5 N"))["row"].to_pylist() == [0]
+    assert mixed.filter(condition_holds(mixed, "load != 2 mm"))["row"].to_pylist() == [0, 2]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.project.settings_reader import _matches
+from labpipe.project.settings_reader import glob_matches
 
 FILES = (
     "a.csv",
@@ -42,5 +42,5 @@ def test_as_on_a_disk(tmp_path: Path, pattern: str) -> None:
     on_disk = {
         name for name in glob.glob(pattern, root_dir=tmp_path, recursive=True) if (tmp_path / name).is_file()
     }
-    assert {name for name in FILES if _matches(Path(name).parts, Path(pattern).parts)} == on_disk
+    assert {name for name in FILES if glob_matches(Path(name).parts, Path(pattern).parts)} == on_disk
     assert on_disk

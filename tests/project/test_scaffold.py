@@ -14,7 +14,7 @@ from labpipe.errors import DataError, LabpipeError
 from labpipe.project.first_guess import guess_channels
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.proposals import first_look
-from labpipe.project.scaffold import _channel_line, scaffold
+from labpipe.project.scaffold import channel_line, scaffold
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.table import open_table
 from tests.project.laboratory import recording
@@ -69,7 +69,7 @@ def test_a_channel_is_a_line_of_the_rig_file() -> None:
     """A point that points against its axis is inverted; the sensitivity of the file stands beside."""
     (channel,) = guess_channels(["12-Z"], {"12-Z": "m/s^2"})
     channel = replace(channel, sensitivity="10.2 mV/gn")
-    line = _channel_line(channel, "")
+    line = channel_line(channel, "")
     assert yaml.safe_load(line) == {
         "ch_12_z": {
             "column": "12-Z",
@@ -81,7 +81,7 @@ def test_a_channel_is_a_line_of_the_rig_file() -> None:
             "invert": True,
         }
     }
-    assert "invert" not in _channel_line(replace(channel, invert=False), "")
+    assert "invert" not in channel_line(replace(channel, invert=False), "")
 
 
 @pytest.mark.parametrize(("volts_noise", "named"), [(1e-4, True), (0.05, False)])

@@ -123,7 +123,7 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
         other = with_unknowns(file, changed).levitated()
         others = loop_poles(other, rate)
         near = np.array([others[np.argmin(np.abs(others - pole))] for pole in poles], np.complex128)
-        return _amounts(other, rate, near, unstable == 0)
+        return loop_amounts(other, rate, near, unstable == 0)
 
     here = at(values)
     if not fit.usable:
@@ -176,8 +176,10 @@ def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
     return chosen[np.argsort(np.abs(chosen))]
 
 
-def _amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
-    """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of every mode."""
+def loop_amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
+    """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of *modes* (n,)
+    [rad/s].
+    """
     amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)

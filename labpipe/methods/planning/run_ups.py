@@ -390,7 +390,7 @@ def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> E
 
 def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
     settings: RunUpPlanSettings = file.settings
-    choice = RunUpChoice(settings, expected_rig(settings, _earlier(file)))
+    choice = RunUpChoice(settings, expected_rig(settings, earlier_parameters(file)))
     plan = choice.plan(file.title).plan
     names = [f"expected/{run.name}.csv" for run in plan.runs]
     for name, run in zip(names, plan.runs, strict=True):
@@ -404,7 +404,7 @@ def run_up_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[
     return list(run_sentences(plan)), names
 
 
-def _earlier(file: PlanFile) -> dict[str, float]:
+def earlier_parameters(file: PlanFile) -> dict[str, float]:
     """Parameters of the earlier joint fit, its viscosity at the load and speed that the plan refers it to."""
     if not file.settings.earlier:
         return {}

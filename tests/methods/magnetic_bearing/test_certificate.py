@@ -14,7 +14,7 @@ from scipy import stats
 
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.certificate import _amounts, certificate
+from labpipe.methods.magnetic_bearing.certificate import certificate, loop_amounts
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
@@ -379,5 +379,5 @@ def test_magnets_that_outgrow_all_numbers_are_refused() -> None:
 
 def test_a_pole_that_does_not_swing_has_no_logarithmic_decrement() -> None:
     """A mode that the errors of the unknowns move to where it only decays: its decrement is infinite."""
-    found = _amounts(FILE.levitated(), None, np.array([-100 + 0j]), stable=False)
+    found = loop_amounts(FILE.levitated(), None, np.array([-100 + 0j]), stable=False)
     assert found == {"f_n_1": 100 / (2 * np.pi), "pole_real_1": -100.0, "pole_imag_1": 0.0}

@@ -120,7 +120,7 @@ def test_an_earlier_viscosity_is_referred_to_the_loads_and_speeds_of_the_plan(
     bare = "".join(line for line in lines if not line.startswith("speeds:"))
     (tmp_path / "bare.yaml").write_text(bare, encoding="utf-8")
     file = load_plan(_write(tmp_path, rotor="bare.yaml", earlier="identification.json", known=None))
-    expected = run_ups.expected_rig(file.settings, run_ups._earlier(file))
+    expected = run_ups.expected_rig(file.settings, run_ups.earlier_parameters(file))
     rig = replace(file.settings.rig, speeds=(60.0, 600.0))
     old = np.zeros(12)
     old[:4] = np.log(0.8), -0.4, 0.2, np.log(1.1)
