@@ -149,7 +149,7 @@ def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
 
 @dataclass(frozen=True)
 class RepeatValues:
-    """One parameter of every repeat: values and variances by noise (n,) [SI], of its logarithm where *log*."""
+    """A parameter of every repeat: values, variances by noise (n,) [SI], of its logarithm where *log*."""
 
     values: FloatArray
     variances: FloatArray

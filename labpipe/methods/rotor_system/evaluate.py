@@ -65,7 +65,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     assert system is not None
     try:
         readings = {test.name: reading for test in settings.tests if (reading := _reading(test, work))}
-        sensors = {test.name: _sensors(test, readings.get(test.name)) for test in settings.tests}
+        sensors = {test.name: sensors_of(test, readings.get(test.name)) for test in settings.tests}
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
         out_of_place = list(_interlacing(settings, system, work))
         try:
@@ -74,12 +74,12 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
             error.hint = "; ".join(finding.message for finding in out_of_place) or error.hint
             raise
         speeds = np.linspace(*settings.band, SPEEDS)
-        result = _result(system, built, posterior, speeds, settings.draws, settings.seed)
+        result = system_result(system, built, posterior, speeds, settings.draws, settings.seed)
         measured = (
             (test.speed, float(frequency))
             for test in settings.tests
             if test.kind == RESPONSE and not test.free and test.has_modes
-            for frequency in _modes(test, work).frequency
+            for frequency in free_modes_of(test, work).frequency
         )
         return replace(
             result,
@@ -102,7 +102,7 @@ def _fit(
 
     def fitted(alternative: str) -> tuple[build.Built, SystemPosterior]:
         built = build.build(system, settings.small_errors, sensors, alternative)
-        tests = [_evidence(test, built, system, work, readings.get(test.name)) for test in settings.tests]
+        tests = [evidence_of(test, built, system, work, readings.get(test.name)) for test in settings.tests]
         return built, replace(fit_system(built.model, tests), alternative=alternative)
 
     alternatives = [build.PEDESTALS] if not system.pedestals else []
@@ -139,7 +139,7 @@ def most_probable(
 
 def _reading(test: SystemTest, work: Work) -> Reading | None:
     if test.kind == RESPONSE:
-        return _measured(test, _response(test, work))
+        return measured_of(test, _response(test, work))
     if test.run is None:
         return None
     # Two tests may have recordings of one name, in folders of their own.
@@ -149,7 +149,8 @@ def _reading(test: SystemTest, work: Work) -> Reading | None:
     return run
 
 
-def _sensors(test: SystemTest, reading: Reading | None) -> build.Sensors:
+def sensors_of(test: SystemTest, reading: Reading | None) -> build.Sensors:
+    """The channels of a *reading* with the uncertainties that are stated of them; else none."""
     if isinstance(reading, Measured):
         labels = tuple(port.label for port in reading.outputs)
         stated = tuple(error.uncertainty for error in matrix_errors(reading, directions=True))
@@ -169,14 +170,15 @@ def _response(test: SystemTest, work: Work) -> FrequencyResponse:
     return response
 
 
-def _evidence(
+def evidence_of(
     test: SystemTest, built: build.Built, system: build.RotorSystem, work: Work, reading: Reading | None
 ) -> evidence.SystemEvidence:
+    """What a *test* says of the unknowns: its *reading*, or what its entries state."""
     if isinstance(reading, Measured):
         return _responses(test, reading, built, system)
     if reading is not None:
         return _vectors(test, reading, built, system)
-    return _modes(test, work) if test.has_modes else _deflections(test, system)
+    return free_modes_of(test, work) if test.has_modes else _deflections(test, system)
 
 
 def _deflections(test: SystemTest, system: build.RotorSystem) -> evidence.Deflections:
@@ -199,7 +201,8 @@ def _dof(system: build.RotorSystem, place: tuple[int, str]) -> int:
     return system.rig.rotor.dofs(node)["yz".index(direction)]
 
 
-def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
+def free_modes_of(test: SystemTest, work: Work) -> evidence.FreeModes:
+    """Modes of the one modal fit that a *test* names, or those that it states; ConfigError."""
     if test.fit:
         modal = [fit for fit in work.fits if fit.detail(Modes) is not None]
         chosen = [fit for fit in modal if fit.name == test.fit]
@@ -236,7 +239,7 @@ def _modes(test: SystemTest, work: Work) -> evidence.FreeModes:
     return evidence.FreeModes(test.name, numbers, frequency, f_error / frequency, damping, d_error / damping)
 
 
-def _measured(test: SystemTest, response: FrequencyResponse) -> Measured:
+def measured_of(test: SystemTest, response: FrequencyResponse) -> Measured:
     """The FRF of a test in its band."""
     if response.form not in DERIVATIVES:
         hint = "a response to a force is needed"
@@ -296,7 +299,7 @@ def _interlacing(settings: RotorSystemSettings, system: build.RotorSystem, work:
         planes = 2 if coupled else len(set(inputs))
         bearings, pedestals = len(system.rig.bearings), len(system.pedestals)
         for hung in free:
-            modes = _modes(hung, work), _modes(test, work)
+            modes = free_modes_of(hung, work), free_modes_of(test, work)
             for place, number, below in evidence.out_of_order(*modes, planes, bearings, pedestals):
                 rotor, stands = (m.frequency[n - 1] for m, n in zip(modes, (number, place), strict=True))
                 side = "below" if below else "above"
@@ -372,7 +375,7 @@ def declared_result(system: build.RotorSystem, speeds: FloatArray) -> records.Ro
     """
     built = build.build(system, build.SmallErrors(), {})
     posterior = fit_system(built.model, [], estimate_sizes=False)
-    return _result(system, built, posterior, speeds, predictions.DRAWS // 2, 1)
+    return system_result(system, built, posterior, speeds, predictions.DRAWS // 2, 1)
 
 
 def _unbalanced(posterior: SystemPosterior, built: build.Built) -> SystemPosterior:
@@ -384,7 +387,7 @@ def _unbalanced(posterior: SystemPosterior, built: build.Built) -> SystemPosteri
     return replace(posterior, values=values)
 
 
-def _result(
+def system_result(
     system: build.RotorSystem,
     built: build.Built,
     posterior: SystemPosterior,
@@ -392,6 +395,10 @@ def _result(
     n_draw: int,
     seed: int,
 ) -> records.RotorSystemResult:
+    """The section of a result: what *posterior* says of unknowns, tests, critical speeds and stability.
+
+    *speeds* (n_speed,) [rad/s] of the diagrams, rising; *n_draw* draws of the amplitudes from *seed*.
+    """
     rig = system.rig
     low, high = band = float(speeds[0]), float(speeds[-1])
     operating = rig.speed if rig.speed > 0 else high
@@ -479,7 +486,9 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
         )
     explained = explanations(posterior)
     if any(explanation.fall > TELLING and explanation.test for explanation in explained):
-        yield Finding("tests-disagree", "tests of one rotor disagree: " + _explanations(posterior, explained))
+        yield Finding(
+            "tests-disagree", "tests of one rotor disagree: " + explained_text(posterior, explained)
+        )
     for name, z in posterior.contradicted:
         yield Finding(
             "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
@@ -487,7 +496,8 @@ def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
     yield from _notes(posterior)
 
 
-def _explanations(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
+def explained_text(posterior: SystemPosterior, explained: Sequence[Explanation]) -> str:
+    """The most telling explanations of tests that disagree, best first, as a text."""
 
     def words(cause: Explanation) -> str:
         if cause.group:

@@ -17,12 +17,12 @@ from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
 from labpipe.methods.rotor_system.build import Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evaluate import (
-    _evidence,
-    _explanations,
-    _measured,
-    _modes,
-    _result,
-    _sensors,
+    evidence_of,
+    explained_text,
+    free_modes_of,
+    measured_of,
+    sensors_of,
+    system_result,
 )
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import Explanation, SystemPosterior, fit_system
@@ -353,7 +353,7 @@ def test_a_decrement_that_is_known_is_above_its_limit_or_is_not() -> None:
         damped = replace(of, rig=replace(of.rig, rotor=replace(of.rig.rotor, alpha=alpha)))
         built = build(damped, SmallErrors(0, 0, 0, 0, 0, 0), {"t": Sensors(("a",), 0.01)})
         posterior = fit_system(built.model, [], estimate_sizes=False)
-        found = _result(damped, built, posterior, np.array([40.0, 41.0]), 20, 1)
+        found = system_result(damped, built, posterior, np.array([40.0, 41.0]), 20, 1)
         assert found.decrement[1:] == (0.0, probability) and (found.decrement[0] > 0.1) == bool(probability)
 
 
@@ -363,7 +363,7 @@ def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:
     posterior = fit_system(built.model, [], estimate_sizes=False)
     for speed in (0.0, 100.0):
         rig = replace(of.rig, speed=speed)
-        found = _result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), 2, 1)
+        found = system_result(replace(of, rig=rig), built, posterior, np.array([40.0, 50.0]), 2, 1)
         assert all((critical.margin is None) == (not speed) for critical in found.criticals)
     assert found.criticals
 
@@ -371,7 +371,9 @@ def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:
 def test_a_fit_of_several_bands_is_no_test_of_modes() -> None:
     fits = [SimpleNamespace(name="modes", detail=lambda _: object())] * 2
     with pytest.raises(ConfigError, match="there are 2 modal fits 'modes'"):
-        _modes(SystemTest(name="hammer", kind="modes", fit="modes"), cast("Work", SimpleNamespace(fits=fits)))
+        free_modes_of(
+            SystemTest(name="hammer", kind="modes", fit="modes"), cast("Work", SimpleNamespace(fits=fits))
+        )
 
 
 @pytest.mark.long
@@ -510,8 +512,8 @@ def error_by(folder: Path, test: SystemTest, reading, name: str) -> tuple[float,
     """Value and standard error of an unknown by one test, chi-square over the number of its data."""
     (folder / "rotor.yaml").write_text(PLAIN)
     own = load_system(folder / "rotor.yaml")
-    built = build(own, SURE, {test.name: _sensors(test, reading)})
-    found = fit_system(built.model, [_evidence(test, built, own, cast(Work, None), reading)])
+    built = build(own, SURE, {test.name: sensors_of(test, reading)})
+    found = fit_system(built.model, [evidence_of(test, built, own, cast(Work, None), reading)])
     at = built.model.number(name)
     return float(found.values[at]), float(found.standard_errors[at]), found.chi2[test.name][1]
 
@@ -541,12 +543,12 @@ def test_what_a_rig_file_states_of_its_sensors_counts(tmp_path: Path, form: str)
     mass = float(model.matrices(model.means, 0.0, supported=False).mass[0::4, 0::4].sum())
     part, told = 12 / mass, 0.03**-2
     lines = 8 / (1 + 0.5 * 7 / 8)
-    _, error, n = error_by(tmp_path, test, _measured(test, measured), "mass of disc 1")
+    _, error, n = error_by(tmp_path, test, measured_of(test, measured), "mass of disc 1")
     # Two parts of every line, 1e-3 each.
     assert error == pytest.approx((told + (part / 1e-3) ** 2 * lines) ** -0.5, rel=0.02)
     assert n == round(2 * lines)
     stated = replace(measured, inputs=(Port("6y", "f", "6y", None, calibrated("gain", 0.05, "force")),))
-    _, error, _ = error_by(tmp_path, test, _measured(test, stated), "mass of disc 1")
+    _, error, _ = error_by(tmp_path, test, measured_of(test, stated), "mass of disc 1")
     assert error == pytest.approx((told + part**2 / (0.05**2 + 1e-6 / lines)) ** -0.5, rel=0.02)
 
 
@@ -558,7 +560,7 @@ def test_causes_beyond_all_numbers_are_told_without_one() -> None:
     text = (
         "chi-square falls by 90 with another internal in test 'hammer', by 40 with young of 1.5 in test 'run'"
     )
-    assert _explanations(cast(SystemPosterior, said), causes) == text
+    assert explained_text(cast(SystemPosterior, said), causes) == text
 
 
 def test_probes_of_one_calibrator_err_together(tmp_path: Path) -> None:
