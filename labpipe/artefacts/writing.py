@@ -169,16 +169,17 @@ def _move_all(staging: Path, target: Path) -> None:
     """
     sources = sorted(path for path in staging.rglob("*") if path.is_file() and path != staging / LOCK)
     for source in sources:
-        _sync(source)
+        sync_to_disk(source)
     goals = [target / source.relative_to(staging) for source in sources]
     for source, goal in zip(sources, goals, strict=True):
         goal.parent.mkdir(parents=True, exist_ok=True)
         os.replace(source, goal)
     for folder in dict.fromkeys(goal.parent for goal in goals):
-        _sync(folder)
+        sync_to_disk(folder)
 
 
-def _sync(path: Path) -> None:
+def sync_to_disk(path: Path) -> None:
+    """Wait until a file or folder is on the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

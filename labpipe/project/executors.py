@@ -134,12 +134,12 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
         while waiting and len(batches) < MOST_BATCHES:
             batch = waiting.pop()
             batches[client.submit(work_on, work, batch, pure=False, retries=ATTEMPTS - 1)] = batch
-        for future in _patiently(client, ended):
+        for future in patiently(client, ended):
             # A worker that is ended now takes its outcome with it, which is then worked out again.
-            error = _patiently(client, future.exception)
+            error = patiently(client, future.exception)
             batch = batches.pop(future)
             if not isinstance(error, distributed.scheduler.KilledWorker):
-                yield from _patiently(client, future.result)
+                yield from patiently(client, future.result)
             elif len(batch) > 1:
                 waiting.extend([job] for job in batch)
             else:
@@ -148,7 +148,7 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
             future.release()
 
 
-def _patiently(client: Any, ask: Callable[[float], Any]) -> Any:
+def patiently(client: Any, ask: Callable[[float], Any]) -> Any:
     """What is asked for again and again as long as there are workers; DataError after an hour without any."""
     since = time.monotonic()
     while True:
@@ -234,7 +234,7 @@ def _describe(path: Path) -> Any:
 
 def _connect(distributed: Any, address: str, patience: float) -> Any:
     try:
-        how = {"timeout": CONNECT_SECONDS, "set_as_default": False, "security": _security(address)}
+        how = {"timeout": CONNECT_SECONDS, "set_as_default": False, "security": security_of(address)}
         client = distributed.Client(address, **how)
     except (OSError, ValueError, TimeoutError) as error:
         hint = "start one with `dask scheduler` and workers with `dask worker`"
@@ -257,7 +257,8 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
     return client
 
 
-def _security(address: str) -> Any:
+def security_of(address: str) -> Any:
+    """Dask's certificates for a tls:// *address*, None for another; ConfigError where none are named."""
     if not address.startswith("tls://"):
         return None
     security: Any = _distribute().Security()

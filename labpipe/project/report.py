@@ -116,7 +116,7 @@ def write_test_report(
 def _write_document(document: Any, path: Path, figures: Path | None) -> None:
     from labpipe.document.charts import figure_files
 
-    content: bytes = _renderer("DOCUMENTS", format_of(path))(document)
+    content: bytes = renderer_of("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
 
@@ -152,9 +152,9 @@ def write_reports(
 
 def _draw(identification: Identification, folder: Path, report_format: str) -> bytes:
     if identification.dataset is None:
-        content: bytes = _renderer("RENDERERS", report_format)(identification)
+        content: bytes = renderer_of("RENDERERS", report_format)(identification)
     else:
-        content = _renderer("DOCUMENTS", report_format)(_summary(identification, folder))
+        content = renderer_of("DOCUMENTS", report_format)(_summary(identification, folder))
     return content
 
 
@@ -166,7 +166,7 @@ def _summary(identification: Identification, folder: Path) -> Any:
     return many_tests_document(identification, read_many_tests(folder))
 
 
-def _renderer(table: str, report_format: str) -> Callable[[Any], bytes]:
+def renderer_of(table: str, report_format: str) -> Callable[[Any], bytes]:
     """A renderer of a format; what draws takes its time to load."""
     from labpipe.document import render
 

@@ -427,13 +427,13 @@ class Settings:
 
         @functools.wraps(check)
         def convert_and_check(self: Settings) -> None:
-            _convert(self)
+            convert_fields(self)
             check(self)
 
         cls.__post_init__ = convert_and_check  # type: ignore[method-assign]
 
     def __post_init__(self) -> None:
-        _convert(self)
+        convert_fields(self)
 
     def require_positive(self, *names: str) -> None:
         """ConfigError for the first of the entries that holds a number not above zero."""
@@ -459,7 +459,7 @@ class Settings:
         return [name for name, default, _ in _declarations(type(self)) if getattr(self, name) != default]
 
 
-def _convert(settings: Any) -> None:
+def convert_fields(settings: Any) -> None:
     """Every declared field in SI units and of its type; ConfigError with the field's name."""
     owner = type(settings)
     for name, default, declared in _declarations(owner):

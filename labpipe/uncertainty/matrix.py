@@ -188,7 +188,7 @@ def _path(
             statics=_pair(slope),
             statics_error=_pair(slope_error),
         )
-        shaking = _shaken(settings, [fit for fit in fits if fit.test in point.tests])
+        shaking = mean_compliance(settings, [fit for fit in fits if fit.test in point.tests])
         if shaking is not None:
             there = replace(
                 there,
@@ -234,7 +234,9 @@ def _slope_weights(loads: FloatArray, n: int) -> FloatArray:
 _Compliance = tuple[FloatArray, FloatArray, dict[str, FloatArray]]
 
 
-def _shaken(settings: EquilibriumSettings, fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray] | None:
+def mean_compliance(
+    settings: EquilibriumSettings, fits: Sequence[Fit]
+) -> tuple[FloatArray, FloatArray] | None:
     """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its
     covariance (2, 2). Noise is independent from repeat to repeat; an error that repeats have in common does
     not shrink in their mean.

@@ -43,7 +43,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.methods.rotor.response import Modes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
-from labpipe.methods.rotor_system.evaluate import FAINT, _findings, most_probable
+from labpipe.methods.rotor_system.evaluate import FAINT, findings_of, most_probable
 from labpipe.methods.rotor_system.posterior import SystemPosterior, common_changes, explanations, fit_system
 from labpipe.methods.rotor_system.predictions import (
     MOST_MODES,
@@ -277,7 +277,7 @@ def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held,
             continue
         held["fit"].append(True)
         counts["flagged"] += bool(found.misfits or found.enlarged or found.alternative)
-        disagree = [each for each in _findings(found) if each.code == "tests-disagree"]
+        disagree = [each for each in findings_of(found) if each.code == "tests-disagree"]
         if disagree:
             first = explanations(found)[0]
             counts[f"disagree by {first.group or found.model.unknowns[first.number].name}"] += 1

@@ -179,8 +179,10 @@ def test_files_are_on_the_disk_before_their_names_are(
 ) -> None:
     """Then a cut of power leaves no name without its content; the folder's names follow."""
     done_in_turn: list[str] = []
-    sync, replace = writing._sync, os.replace
-    monkeypatch.setattr(writing, "_sync", lambda path: (done_in_turn.append(f"sync {path.name}"), sync(path)))
+    sync, replace = writing.sync_to_disk, os.replace
+    monkeypatch.setattr(
+        writing, "sync_to_disk", lambda path: (done_in_turn.append(f"sync {path.name}"), sync(path))
+    )
     monkeypatch.setattr(
         os,
         "replace",

@@ -30,7 +30,7 @@ def test_it_is_asked_again_while_there_are_workers(monkeypatch: pytest.MonkeyPat
 
     client = Client(2, 1)
     assert (
-        cluster._patiently(client, ask) == "done" and asked == [cluster.LOOK_SECONDS] * 3 and not client.looks
+        cluster.patiently(client, ask) == "done" and asked == [cluster.LOOK_SECONDS] * 3 and not client.looks
     )
 
 
@@ -41,4 +41,4 @@ def test_it_is_given_up_without_them(monkeypatch: pytest.MonkeyPatch) -> None:
         raise TimeoutError
 
     with pytest.raises(DataError, match="has no workers any more"):
-        cluster._patiently(Client(1, 0), ask)
+        cluster.patiently(Client(1, 0), ask)

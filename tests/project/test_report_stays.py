@@ -33,9 +33,9 @@ def test_nothing_is_drawn_twice(
     first = [file.read_bytes() for file in files]
     assert all(content.count(b"labpipe drew this from") == 1 for content in first)
     drawn = []
-    renderer = report_stage._renderer
+    renderer = report_stage.renderer_of
     monkeypatch.setattr(
-        report_stage, "_renderer", lambda table, name: drawn.append(name) or renderer(table, name)
+        report_stage, "renderer_of", lambda table, name: drawn.append(name) or renderer(table, name)
     )
     assert labpipe(*arguments).code == 0 and drawn == []
     # One byte in a heading, and a missing end.

@@ -354,14 +354,14 @@ def test_a_cluster_by_tls_takes_the_certificates_of_its_own_configuration(tmp_pa
 
     from labpipe.project import executors as cluster
 
-    assert cluster._security("tcp://127.0.0.1:8786") is None
+    assert cluster.security_of("tcp://127.0.0.1:8786") is None
     with pytest.raises(ConfigError, match="no certificates are configured"):
-        cluster._security("tls://127.0.0.1:8786")
+        cluster.security_of("tls://127.0.0.1:8786")
     names = {"ca-file": "ca.pem", "client.cert": "cert.pem", "client.key": "key.pem"}
     with dask.config.set(
         {f"distributed.comm.tls.{name}": str(tmp_path / file) for name, file in names.items()}
     ):
-        security = cluster._security("tls://127.0.0.1:8786")
+        security = cluster.security_of("tls://127.0.0.1:8786")
     assert security.tls_ca_file == str(tmp_path / "ca.pem") and security.tls_client_key == str(
         tmp_path / "key.pem"
     )

@@ -16,7 +16,7 @@ import labpipe
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings, Sliding, Support
 from labpipe.quantities import UnitError
-from labpipe.records.settings import CONVERTERS, Setting, Settings, _convert, setting, settings_of
+from labpipe.records.settings import CONVERTERS, Setting, Settings, convert_fields, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import FrfSettings
 
@@ -105,7 +105,7 @@ def test_dataclasses_that_declare_settings_are_settings() -> None:
 def test_a_field_of_the_wrong_type_is_named(owner: type) -> None:
     for name in settings_of(owner):
         with pytest.raises(ConfigError) as caught:
-            _convert(unchecked(owner, **{name: object()}))
+            convert_fields(unchecked(owner, **{name: object()}))
         assert str(caught.value).startswith(f"{name}: ") and caught.value.field == name
 
 
@@ -117,9 +117,9 @@ def test_what_people_write_becomes_si_once(owner: type) -> None:
         if written is None:
             continue
         instance = unchecked(owner, **{name: written})
-        _convert(instance)
+        convert_fields(instance)
         first = getattr(instance, name)
-        _convert(instance)
+        convert_fields(instance)
         assert getattr(instance, name) == first
         assert declared.kind not in ("value", "values", "band", "uncertain", "mass") or not isinstance(
             first, str

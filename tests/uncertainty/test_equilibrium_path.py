@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Budget, Uncertainty
-from labpipe.uncertainty.matrix import STIFFNESS, _shaken
+from labpipe.uncertainty.matrix import STIFFNESS, mean_compliance
 from labpipe.uncertainty.settings import EquilibriumSettings
 from tests.uncertainty.conftest import a_fit
 
@@ -33,7 +33,7 @@ def test_the_mean_of_repeats_has_their_covariance_over_their_number() -> None:
     )
     values = {name: (float(value), 0.01) for name, value in zip(STIFFNESS, K.ravel(), strict=True)}
     for repeats in (1, 3):
-        found = _shaken(settings, [a_fit(f"test {n}", values) for n in range(repeats)])
+        found = mean_compliance(settings, [a_fit(f"test {n}", values) for n in range(repeats)])
         assert found is not None
         np.testing.assert_allclose(found[0], displacement(np.zeros((2, 2))), rtol=1e-12)
         np.testing.assert_allclose(found[1], 0.01**2 * slopes @ slopes.T / repeats, rtol=1e-7)
@@ -41,7 +41,7 @@ def test_the_mean_of_repeats_has_their_covariance_over_their_number() -> None:
 
 def test_no_coefficients_no_displacement() -> None:
     settings = EquilibriumSettings(load="load", x="x", y="y")
-    assert _shaken(settings, [a_fit("test", {"k_xx": (4.0, 0.01)})]) is None
+    assert mean_compliance(settings, [a_fit("test", {"k_xx": (4.0, 0.01)})]) is None
 
 
 def test_an_error_in_common_does_not_shrink_with_repeats() -> None:
@@ -66,9 +66,9 @@ def test_an_error_in_common_does_not_shrink_with_repeats() -> None:
         ]
         return replace(plain, parameters=tuple(combined), budget=budget)
 
-    noise = _shaken(settings, [a_fit(f"test {n}", values) for n in range(3)])
-    common = _shaken(settings, [fit(n, "cell") for n in range(3)])
-    each = _shaken(settings, [fit(n, f"cell {n}") for n in range(3)])
+    noise = mean_compliance(settings, [a_fit(f"test {n}", values) for n in range(3)])
+    common = mean_compliance(settings, [fit(n, "cell") for n in range(3)])
+    each = mean_compliance(settings, [fit(n, f"cell {n}") for n in range(3)])
     assert noise is not None and common is not None and each is not None
     np.testing.assert_allclose(common[1] - noise[1], np.outer(gain, gain), rtol=1e-9)
     np.testing.assert_allclose(each[1] - noise[1], np.outer(gain, gain) / 3, rtol=1e-9)

@@ -232,7 +232,8 @@ class RunUpChoice:
     settings: RunUpPlanSettings
     expected: ExpectedRig
 
-    def _all(self) -> Iterator[RunCandidate]:
+    def all_runs(self) -> Iterator[RunCandidate]:
+        """Every load with every trial over every stretch of the speeds."""
         settings = self.settings
         stretches = np.array_split(settings.omega, settings.stretches)
         for place, load in enumerate(settings.loads, 1):
@@ -252,7 +253,7 @@ class RunUpChoice:
         """The runs at the speeds that the limits allow, and what to note of it."""
         limits = self.settings.displacement_limit, self.settings.journal_limit
         kept, cut, whole = [], 0, 0
-        for candidate in self._all():
+        for candidate in self.all_runs():
             allowed = at_allowed_speeds(self.expected, candidate, *limits)
             kept += [] if allowed is None else [allowed]
             full = allowed is not None and allowed.speed.size == candidate.speed.size

@@ -284,8 +284,8 @@ def plan_states(
         if name not in settings_of(bearing.kind.settings):
             what = f"a file of a {bearing.kind_name} has no '{name}'"
             raise SettingError("bearing", what, "a journal bearing has")
-    common = [_common(bearing, name) for name in settings.estimate]
-    tests = [state_test(settings, state) for state in _states(settings, bearing, common)]
+    common = [common_number(bearing, name) for name in settings.estimate]
+    tests = [state_test(settings, state) for state in planned_states(settings, bearing, common)]
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
     if common and len(answered.plan.runs) < len(tests):
         answered = answered.noted([UNTESTED])
@@ -293,7 +293,8 @@ def plan_states(
     return answered.noted(note for run in answered.plan.runs for note in of_state[run.name].notes), of_state
 
 
-def _common(bearing: BearingFile, name: str) -> Common:
+def common_number(bearing: BearingFile, name: str) -> Common:
+    """A number of the bearing file that all states have in common; SettingError for what is none."""
     declared = settings_of(bearing.kind.settings)
     values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
     numbers = tuple(key for key in values if key not in ("load", "speed"))
@@ -308,9 +309,10 @@ def _common(bearing: BearingFile, name: str) -> Common:
     return Common(name, float(value), declared[name][0].unit, std_error)
 
 
-def _states(
+def planned_states(
     settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]
 ) -> list[BearingState]:
+    """The bearing at each load and speed of the plan, with its slopes by what all states have in *common*."""
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]
     base = {number.name: f"{number.value!r} {number.unit}".rstrip() for number in common}
     changes = [base]

@@ -434,7 +434,7 @@ def system_result(
         ln_evidence=posterior.ln_evidence,
         alternative=posterior.alternative,
         widened=posterior.widened,
-        findings=tuple(_findings(posterior)),
+        findings=tuple(findings_of(posterior)),
     )
 
 
@@ -464,7 +464,8 @@ def _people(unknown: Unknown, value: float, error: float) -> tuple[float, float]
     return amount, abs(amount) * error
 
 
-def _findings(posterior: SystemPosterior) -> Iterator[Finding]:
+def findings_of(posterior: SystemPosterior) -> Iterator[Finding]:
+    """Tests that no rotor of the file gives, tests and numbers that disagree, notes on intervals."""
     for name, tail in posterior.misfits.items():
         chi2, n = posterior.chi2[name]
         yield Finding(

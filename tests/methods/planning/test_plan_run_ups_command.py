@@ -95,7 +95,7 @@ def test_names_of_trials_are_names_of_files() -> None:
     rig, trial = load_run_up_rotor(ROTOR), TrialSettings(unbalance=(("disc 1", 1e-5 + 0j),))
     entries = {"loads": (5.0,), "speeds": (10.0, 50.0), "step": 5.0, "dwell": 10.0, "duration": 600.0}
     settings = RunUpPlanSettings("run-ups", "r", trials=(("../a/b", trial),), rig=rig, **entries)
-    names = {candidate.name for candidate in RunUpChoice(settings, expected_rig(settings, {}))._all()}
+    names = {candidate.name for candidate in RunUpChoice(settings, expected_rig(settings, {})).all_runs()}
     assert names == {f"load-1-..-a-b-{number}" for number in (1, 2, 3)}
     with pytest.raises(ConfigError, match="two trials would write the same files"):
         RunUpPlanSettings("run-ups", "r", trials=(("a/b", trial), ("a b", trial)), rig=rig, **entries)

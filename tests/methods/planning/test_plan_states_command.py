@@ -19,7 +19,7 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_names
-from labpipe.methods.planning.states import COEFFICIENTS, _common, _states, plan_states
+from labpipe.methods.planning.states import COEFFICIENTS, common_number, plan_states, planned_states
 from labpipe.project.bearing_file import open_bearing
 from tests.conftest import Command
 
@@ -80,8 +80,8 @@ def test_viscosity_and_clearance_change_what_the_speed_changes(tmp_path: Path) -
     speeds = ["2990 rpm", "3000 rpm", "3010 rpm"]
     settings = load_plan(write(tmp_path, loads=["2 kN"], speeds=speeds)).settings
     bearing = open_bearing(BEARINGS / "floating-journal.yaml")
-    common = [_common(bearing, name) for name in ("viscosity", "clearance")]
-    three = _states(settings, bearing, common)
+    common = [common_number(bearing, name) for name in ("viscosity", "clearance")]
+    three = planned_states(settings, bearing, common)
     below, here, above = (np.array(list(state.model.expected)) for state in three)
     by_speed, damping = (above - below) / (20 / 3000), np.repeat([0, 1], 4)
     expected = np.stack([by_speed + damping * here, -(1 + 2 * damping) * here - 2 * by_speed], axis=1)

@@ -14,7 +14,7 @@ from labpipe.methods.rotor.shaft import free_rotor
 from labpipe.methods.rotor.theory import margin_above, margin_below, peaks
 from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS, SmallErrors, build
-from labpipe.methods.rotor_system.evaluate import TELLING, _findings
+from labpipe.methods.rotor_system.evaluate import TELLING, findings_of
 from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
 from labpipe.methods.rotor_system.posterior import (
@@ -119,7 +119,7 @@ def test_oil_of_another_temperature_is_a_conflict_and_named() -> None:
     assert (first.test, first.number) == ("run", oil) and first.fall > 50
     assert first.value == pytest.approx(warm[oil], rel=0.25)
     assert all(each.fall < first.fall / 2 for each in rest if each.number == gain)
-    text = " ".join(finding.message for finding in _findings(other))
+    text = " ".join(finding.message for finding in findings_of(other))
     assert "chi-square falls by" in text and "oil of" in text and "in test 'run'" in text
 
 
