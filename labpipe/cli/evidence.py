@@ -191,6 +191,12 @@ def verify(
     labpipe verify out/report.signed.pdf --trust laboratory-ca.pem
     """
     is_file = folder.suffix.lower() in (".pdf", DETACHED) and not folder.is_dir()
+    if is_file:
+        options.refuse_given(("pipeline_path", "again"), "a folder or an archive")
+    if not again and not is_archive(folder):
+        options.refuse_given(("jobs", "overrides"), "a second run: add --again")
+    if not trust:
+        options.refuse_given(("crl",), "certificates that somebody vouches for: add --trust FILE")
     if is_remote(folder) and (is_file or is_archive(folder) or signed):
         what = "is elsewhere; archives and signatures are verified here only"
         raise DataError(what, show(folder), "copy it here")
@@ -370,6 +376,8 @@ def sign(
         raise ConfigError("sign: needs --key or --pkcs11, one of them", hint="labpipe sign FILE --key me.p12")
     if pkcs11 and not (token and label):
         raise ConfigError("--pkcs11: needs --token and --label as well")
+    if key is not None:
+        options.refuse_given(("token", "label"), "a token: name its library, --pkcs11 LIBRARY, not --key")
     secret = os.environ.get(SECRET)
     if secret is None:
         if not sys.stdin.isatty():

@@ -5,15 +5,17 @@ from __future__ import annotations
 import functools
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder, path_of
 from labpipe.cli.output import echo
+from labpipe.errors import ConfigError
 
 
 class _Address(click.Path):
@@ -49,6 +51,19 @@ quiet = click.option("-q", "--quiet", is_flag=True, help="Print errors and warni
 verbose = click.option(
     "-v", "--verbose", is_flag=True, help="Print every step, also when the output is not a terminal."
 )
+
+
+def refuse_given(names: Sequence[str], of: str) -> None:
+    """ConfigError for an option among *names*, parameters of the command that runs, that was typed: what it
+    is *of* is not there.
+    """
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        if (
+            parameter.name in names
+            and context.get_parameter_source(parameter.name) is ParameterSource.COMMANDLINE
+        ):
+            raise ConfigError(f"{parameter.opts[0]}: is of {of}")
 
 
 def usual(command: Command) -> Command:

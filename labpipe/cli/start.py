@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
-from click.core import ParameterSource
 
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder, output_folder
@@ -287,11 +286,10 @@ def excite(
     # Loads pandas, which no other command here needs.
     from labpipe.project.exports import write_signal
 
-    context, unused = click.get_current_context(), OF_SWEEPS if sweep is None else OF_MULTISINES
-    for name in unused:
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            other = "a swept sine: name its --sweep" if sweep is None else "a multisine: leave out --sweep"
-            raise ConfigError(f"--{name.replace('_', '-')}: is of {other}")
+    if sweep is None:
+        options.refuse_given(OF_SWEEPS, "a swept sine: name its --sweep")
+    else:
+        options.refuse_given(OF_MULTISINES, "a multisine: leave out --sweep")
     limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
     line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
     sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))

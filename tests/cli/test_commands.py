@@ -377,6 +377,24 @@ def test_options_of_another_kind_of_signal_are_refused(tmp_path: Path, labpipe) 
     assert not (tmp_path / "s.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("command", "option", "value", "of"),
+    [
+        ("verify .", "--crl", "lab.crl", "certificates that somebody vouches for"),
+        ("verify .", "--set", "rig=other.yaml", "a second run"),
+        ("verify report.signed.pdf", "-c", "pipeline.yaml", "a folder or an archive"),
+        ("sign report.pdf --key me.p12", "--token", "card", "a token"),
+        ("orders run.csv -o out", "--limit", "30 %", "a share of the gap"),
+        ("orders run.csv -o out --speed 3000rpm", "--pulses", "4", "a tacho"),
+    ],
+)
+def test_an_option_of_something_that_is_not_there_is_refused(
+    labpipe, command: str, option: str, value: str, of: str
+) -> None:
+    ended = labpipe(*command.split(), option, value)
+    assert ended.code == 2 and f"{option}: is of {of}" in ended.err
+
+
 def test_signatures_of_results_elsewhere_are_not_passed_over(labpipe) -> None:
     ended = labpipe("verify", "s3://bench/out", "--signed", "approved")
     assert ended.code == 2 and "signatures are verified here only" in ended.err

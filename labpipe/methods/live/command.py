@@ -100,9 +100,7 @@ def live(
     from labpipe.methods.live.sources import Frames, open_source
     from labpipe.project.pipeline_file import load_for_stream
 
-    if (source is None) == (simulate is None):
-        what = "one of SOURCE and --simulate is needed"
-        raise ConfigError(what, hint="labpipe live PIPELINE recording.tdms")
+    _check_source(source, simulate)
     pipeline = load_for_stream(pipeline_path, overrides)
     rig = pipeline.rig
     if rig is None:
@@ -130,6 +128,14 @@ def live(
         if output is not None:
             _finish(session, pipeline_path, overrides, output, quiet or as_json)
     return 0 if enough or not goals else 1
+
+
+def _check_source(source: str | None, simulate: Path | None) -> None:
+    if (source is None) == (simulate is None):
+        what = "one of SOURCE and --simulate is needed"
+        raise ConfigError(what, hint="labpipe live PIPELINE recording.tdms")
+    if simulate is None:
+        options.refuse_given(("run_name", "speed", "seed"), "a virtual rig: name its file, --simulate RIG")
 
 
 def _follow(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:

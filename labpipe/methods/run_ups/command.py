@@ -79,4 +79,8 @@ def orders(**settings: Any) -> int:
     """
     from labpipe.methods.run_ups.orders import track_and_write
 
+    if settings["gap"] is None:
+        options.refuse_given(("limit",), "a share of the gap: name it, --gap LENGTH")
+    if settings["tacho"] is None:
+        options.refuse_given(("pulses",), "a tacho: name its channel, --tacho NAME")
     return track_and_write(**settings)

@@ -375,6 +375,12 @@ def test_a_run_that_the_virtual_rig_does_not_have_is_refused(root, labpipe):
     assert refused.code == 2 and "no run 'pedestl'; did you mean 'pedestal'?" in refused.err
 
 
+@pytest.mark.parametrize(("option", "value"), [("--run", "pedestal"), ("--speed", "2"), ("--seed", "3")])
+def test_options_of_a_virtual_rig_are_refused_without_one(bench, labpipe, option, value):
+    refused = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", option, value)
+    assert refused.code == 2 and f"{option}: is of a virtual rig" in refused.err
+
+
 def test_a_test_that_ends_before_its_goal_fails(bench, follow):
     write_csv(bench / "test.csv", samples(6))
     follow(bench / "test.csv", "--until", "k.expanded<=1e-4%", code=1)

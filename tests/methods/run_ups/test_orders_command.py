@@ -99,7 +99,7 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "n", "--order", "2", "--speed-range", "50-60 Hz"), "a run-up is of order 1, not 2"),
         (("--tacho", "n", "--load", "3 N"), "--load belongs to --save-run-up"),
         (("--tacho", "n", "--unbalance", "x=3 g.mm"), "--unbalance belongs to a table or a judgement"),
-        (("--tacho", "n", "--limit", "-5 %"), "--gap and --limit must be positive"),
+        (("--tacho", "n", "--gap", "1 mm", "--limit", "-5 %"), "--gap and --limit must be positive"),
         (
             ("--tacho", "n", "--save-run-up", "t.csv", "--load", "3 N", "--unbalance", "x=3 g.mm"),
             "--save-run-up: the plane of the responses has no name",
