@@ -41,6 +41,7 @@ class Value:
     when: str
     random_error: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
+    band_hz: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def _value(result: str, identification: Identification, listed: ListedParameter)
     dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
     when = next((text for text in dates if _day(text)), "")
     label = _label(result, listed.test)
-    return Value(label, listed.parameter, amounts, when, listed.random_error, listed.changes)
+    return Value(label, listed.parameter, amounts, when, listed.random_error, listed.changes, listed.band_hz)
 
 
 def _amount(text: str) -> tuple[float, str] | None:
@@ -416,7 +417,14 @@ def _slope_unit(trend: Trend) -> str:
 
 
 def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
-    blocks: list[Block] = [trend_figure(coefficient, condition) for condition in coefficient.over()]
+    bands = dict.fromkeys(
+        f"{low:g}-{high:g} Hz" for low, high in (value.band_hz for value in coefficient.values)
+    )
+    blocks: list[Block] = []
+    if len(bands) > 1:
+        what = f"Fits of several bands have this name: {', '.join(bands)}."
+        blocks.append(Paragraph(f"{what} Their values may differ by the bands alone.", "warning"))
+    blocks += [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
         limits, n = control_limits(coefficient.shown()), len(coefficient.values)
         outside = "; ".join(_outside(coefficient))

@@ -92,6 +92,13 @@ def test_bands_of_several_results_are_laid_over_each_other() -> None:
     assert figure.caption == "direct: k over frequency of 2 tests, shaded: 95 % intervals."
 
 
+def test_fits_of_several_bands_under_one_name_are_said() -> None:
+    (name, first), other = campaign([1000.0, 2000.0])
+    narrow = (name, replace(first, fits=(replace(first.fits[0], band_hz=(2.0, 4.5)),)))
+    assert "several bands have this name: 2-4.5 Hz, 1-9 Hz." in told([narrow, other])
+    assert "several bands" not in told([(name, first), other])
+
+
 def test_a_series_of_which_one_has_no_date_stays_in_its_order() -> None:
     one, other = campaign([1000.0, 2000.0])[::-1]
     undated = ("r9", one_result(3000.0, "400 N", "in March"))
