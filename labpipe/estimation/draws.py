@@ -46,8 +46,8 @@ def bootstrap(
             refits.append({p.name: p.value for p in refit(redrawn(measured, fitted, rng))})
     _check_failed("bootstrap", len(refits), repeats)
     note = (
-        f"Standard errors and intervals come from {len(refits)} refits on noise drawn from the FRF's "
-        "covariance (bootstrap)."
+        f"Standard errors and intervals by noise alone come from {len(refits)} refits on noise drawn from "
+        "the FRF's covariance (bootstrap)."
     )
     scattered = (
         with_scatter(parameter, [values[parameter.name] for values in refits if parameter.name in values])
