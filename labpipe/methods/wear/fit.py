@@ -21,7 +21,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.wear import search
 from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
-from labpipe.quantities import UnitError, si_amount
+from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -146,7 +146,6 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     estimate = _estimate(solved)
     parameters, findings = _report(solved, estimate)
     frequency, name = measured.frequency, NAMES[wear.objective]
-    lines = np.isin(response.frequency, frequency)
     band = settings.band or (float(frequency[0]), float(frequency[-1]))
     fit = replace(
         reported_fit(settings, estimate, parameters, band, frequency.size, solved.misfit.n_prior),
@@ -154,7 +153,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         findings=(
             *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else name),
             *findings,
-            *diagnostics.quality_findings(response, [0, 1], [0, 1], lines),
+            *diagnostics.quality_findings(response, [0, 1], [0, 1], measured.lines),
         ),
         notes=(search_note(solved.minima, wear, solved.misfit.model.film_mesh),),
         curve=_curve(measured, solved),
@@ -165,10 +164,10 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 def _check_speed(response: FrequencyResponse, wear: WearSettings) -> None:
     try:
-        speed, unit = si_amount(response.conditions.get("speed", ""))
+        speed = parse_value(response.conditions.get("speed", "").partition("+-")[0], "Hz")
     except UnitError:
         return
-    if wear.rig is not None and unit == "Hz" and abs(speed - wear.rig.speed) > SAME_SPEED * wear.rig.speed:
+    if wear.rig is not None and abs(speed - wear.rig.speed) > SAME_SPEED * wear.rig.speed:
         what = f"the test ran at {speed:g} Hz, the rotor of its fit turns at {wear.rig.speed:g} Hz"
         raise ConfigError(what, hint="name a rotor file of that speed with wear.rotor")
 

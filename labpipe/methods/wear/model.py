@@ -22,7 +22,7 @@ from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import Rotor
 from labpipe.methods.wear import tables
-from labpipe.methods.wear.settings import ANGLE, DEPTH, Gaussian, WearSettings
+from labpipe.methods.wear.settings import ANGLE, DEPTH, REACH, Gaussian, WearSettings
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import lines_in
@@ -30,8 +30,6 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, directio
 from labpipe.spectra.damping import half_power
 from labpipe.spectra.matrices import without_rounding
 
-# Range of a nuisance parameter about its prior mean, in prior standard deviations.
-REACH = 4.0
 # Relative step of the difference by the shaft's damping, in which the response is smooth.
 BETA_STEP = 1e-3
 # Margin of the tables beyond the bounds, for rounding.
@@ -201,12 +199,14 @@ SMALL_ANGLE = 1e-5
 @dataclass(frozen=True)
 class WornReceptance:
     """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of
-    the terms used. *errors*: what sources of systematic error do to it, in the same frame.
+    the terms used; *lines*: mask (n_frequency,) of the response. *errors*: what sources of systematic error
+    do to it, in the same frame.
     """
 
     measured: Measured
     places: tuple[int, ...]
     names: tuple[str, str]
+    lines: BoolArray
     errors: tuple[MatrixError, ...] = ()
 
     @property
@@ -241,7 +241,7 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
     errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
     errors += _of_directions(response, wear.response, measured.matrix)
-    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], tuple(errors))
+    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], lines, tuple(errors))
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:

@@ -24,6 +24,8 @@ OBJECTIVES = ("complex", "log")
 # Parameters that can be estimated together with the wear: name of the setting, unit.
 NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
 DEPTH, ANGLE = "wear_depth", "wear_angle"
+# Range of a nuisance parameter about its prior mean, in prior standard deviations.
+REACH = 4.0
 UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 
@@ -141,9 +143,13 @@ class WearSettings(Settings):
                     raise SettingError(name, f"'{name}' is above the ambient pressure", "give zero or less")
             elif not nuisance.value > 0:
                 raise SettingError(name, f"'{name}' must be positive")
-            elif nuisance.std_error > 0.25 * nuisance.value:
-                what = f"standard error of '{name}' above 25 %"
-                raise SettingError(name, what, "give a smaller uncertainty")
+        prior = self.nuisance_prior
+        for name, mean, std in zip(prior.names, prior.mean, prior.std.tolist(), strict=True):
+            # The search reaches as many standard errors to either side, and no further than to zero.
+            if name in ("viscosity", "clearance", "beta") and REACH * std >= mean:
+                what = f"standard error of '{name}' not below {100 / REACH:g} %"
+                key = name if self.posterior is None else "prior"
+                raise SettingError(key, what, "give a smaller uncertainty")
 
     @property
     def mesh(self) -> FilmMesh:

@@ -51,7 +51,9 @@ class VirtualJournalRig(Settings):
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     viscosity_error: float = quantity("true viscosity over the rotor file's, less one", "1", 0.0)
     clearance_error: float = quantity("true clearance over the rotor file's, less one", "1", 0.0)
-    cavitation_pressure: float = quantity("true pressure at which the film tears", "Pa", 0.0)
+    cavitation_pressure: float | None = quantity(
+        "true pressure at which the films tear; default: the rotor file's", "Pa", None
+    )
     states: tuple[tuple[str, Wear], ...] = setting(
         "sections", "states of the worn bearing by name", section=Wear, default=HEALTHY
     )
@@ -67,8 +69,6 @@ class VirtualJournalRig(Settings):
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
-        if self.rig is not None:
-            worn_place(self.rig, self.bearing)
         assert self.mesh
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
@@ -84,8 +84,18 @@ class VirtualJournalRig(Settings):
         for name in ("viscosity_error", "clearance_error"):
             if not abs(getattr(self, name)) < 0.5:
                 raise ConfigError(f"{name} must lie between -50 % and 50 %")
-        if self.cavitation_pressure > 0:
-            raise ConfigError("cavitation_pressure is above the ambient pressure", hint="give zero or less")
+        if self.rig is not None:
+            worn_place(self.rig, self.bearing)
+            self._check_states()
+
+    def _check_states(self) -> None:
+        """SettingError for a state that the film does not allow."""
+        for state, wear in self.states:
+            try:
+                true_rig(self, wear.depth, wear.angle)
+            except SettingError as error:
+                field = "states" if error.field == "wear" else error.field
+                raise SettingError(field, f"state '{state}': {error.what}", error.hint) from None
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -113,14 +123,18 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
     """The true rotor, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
     if virtual.rig is None:
         raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
-    nominal = worn_place(virtual.rig, virtual.bearing)
-    film = nominal.film("wear")
-    rig = virtual.rig.with_bearings(
-        viscosity=film.viscosity * (1 + virtual.viscosity_error),
-        clearance=film.clearance * (1 + virtual.clearance_error),
-        cavitation_pressure=virtual.cavitation_pressure,
-    )
-    return rig.with_bearings([nominal.name], wear_depth=depth, wear_angle=angle)
+    rig = virtual.rig
+    for place in rig.bearings:
+        if place.is_film:
+            film = place.film("wear")
+            changes = {
+                "viscosity": film.viscosity * (1 + virtual.viscosity_error),
+                "clearance": film.clearance * (1 + virtual.clearance_error),
+            }
+            if virtual.cavitation_pressure is not None:
+                changes["cavitation_pressure"] = virtual.cavitation_pressure
+            rig = rig.with_bearings([place.name], **changes)
+    return rig.with_bearings([worn_place(rig, virtual.bearing).name], wear_depth=depth, wear_angle=angle)
 
 
 def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
