@@ -42,10 +42,10 @@ class BalanceSettings(Settings):
     title: str = setting("text", "title of the result", default="")
     _: KW_ONLY
     repeatability: float = quantity(
-        "scatter of a reading when nothing is changed, as a share of it (standard)", "1", 0.02
+        "scatter of a reading as a vector when nothing is changed, as a share of it (standard)", "1", 0.02
     )
     noise: str = setting(
-        "text", "scatter that does not depend on the reading, e.g. 0.2 um (standard)", default=""
+        "text", "scatter of each of its parts that does not depend on it, e.g. 0.2 um (standard)", default=""
     )
     mass: float | None = quantity("mass of the rotor, for a grade", "kg", None)
     speed: float | None = quantity("service speed, for a grade", "Hz", None)

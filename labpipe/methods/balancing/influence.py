@@ -39,8 +39,8 @@ class Run:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard uncertainty of one component of a reading: *floor* [unit of the reading], and a *share* [1] of
-    its amplitude, of what repeats when nothing is changed.
+    """Standard uncertainties of a reading when nothing is changed: *floor* [unit of the reading] of each of
+    its two parts, *share* [1] of its amplitude of both together.
     """
 
     floor: float

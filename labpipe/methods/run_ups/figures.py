@@ -255,7 +255,7 @@ def cascade_figure(run: records.MeasuredRun, cascade: records.Cascade) -> Figure
     frequency, speed = 60 * np.array(cascade.frequency), 60 * np.array(cascade.speed)
     amplitude = UM * np.array(cascade.amplitude)
     step = float(np.ptp(speed)) / max(len(speed) - 1, 1)
-    scale = TALL * step / float(amplitude.max())
+    scale = TALL * step / (float(amplitude.max()) or 1.0)
     rows = zip(speed, amplitude, strict=True)
     spectra = [
         chart.curve("spectra", frequency, height + scale * spectrum, width=0.7) for height, spectrum in rows

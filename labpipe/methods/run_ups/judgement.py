@@ -15,7 +15,7 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rotor.theory import KEPT, UNDECIDED, Critical, decision
-from labpipe.methods.run_ups.measured import rational_fit
+from labpipe.methods.run_ups.measured import check_moving, rational_fit
 from labpipe.spectra.orders import OrderTrack
 
 # Draws of the readings' noise, and their seed; speeds on which the curve through them is looked at.
@@ -134,6 +134,7 @@ def judge(
     intervals are the 2.5 and 97.5 % points of draws of the readings' noise, enlarged to what they scatter by.
     A margin is kept or broken where its interval is all on one side, else undecided. Equation (run-judged).
     """
+    check_moving(track, "the run-up", range(len(track.ports)))
     speed, readings, deviation = _by_speed(track)
     rng = np.random.default_rng(SEED)
     smooth = _Smooth(speed, readings, deviation)

@@ -11,7 +11,7 @@ the stated noise, together with what two points fewer and the uncertainties of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -209,6 +209,7 @@ def run_up_of(
         if channel.name in in_planes and channel.quantity != "displacement":
             what = f"channel '{channel.name}' of recording '{name}' reads {channel.quantity}"
             raise DataError(what, hint="a run-up is of displacements: leave its direction out")
+    check_moving(track, name, [column for plane in track.planes for column in plane.columns])
     response, deviation = _in_planes(track)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
@@ -226,6 +227,15 @@ def run_up_of(
         unbalance=dict(unbalance),
         uncertainties=tuple(_probe_errors(track)),
     )
+
+
+def check_moving(track: OrderTrack, name: str, columns: Sequence[int]) -> None:
+    """DataError for a probe, of the *columns* of a run's track, that reads nothing."""
+    for column in columns:
+        if np.any(still := track.amplitude[:, column] == 0):
+            at = f"{60 * track.speed[np.argmax(still)]:.4g} rpm"
+            what = f"probe '{track.ports[column].label}' of run '{name}' does not move at {at}"
+            raise DataError(f"{what}: it has no phase there", hint="look at the probe, or leave it out")
 
 
 def _probe_errors(track: OrderTrack) -> Iterator[records.ProbeError]:
@@ -309,6 +319,14 @@ def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
     return replace(
         run, speed=inside, response=response, amplitude_error=amplitude_error, phase_error=phase_error
     )
+
+
+def added_since(residual: records.RunUp, run: records.RunUp) -> records.RunUp:
+    """What a recorded *run* adds to its *residual* run, before which nothing was added where the run has its
+    weights. DataError as `difference` and `at_speeds`.
+    """
+    weightless = replace(residual, unbalance=dict.fromkeys(run.unbalance, 0j))
+    return difference(run, at_speeds(weightless, run.speed))
 
 
 def _vector_difference(

@@ -18,10 +18,11 @@ from labpipe.cli.output import echo
 from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
-from labpipe.methods.run_ups.measured import run_up_of
+from labpipe.methods.run_ups.measured import added_since, run_up_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.measured import file_stems
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.records.recording import Channel
@@ -37,6 +38,8 @@ MOST_ORBITS = 8
 MOST_COLUMNS = 4
 # Room above the amplitudes for their names, and above the limit of a gap.
 LEGEND_ROOM, LIMIT_ROOM = 1.3, 1.15
+# Share of the gap beyond which an orbit is reported, unless stated.
+LIMIT = 0.2
 # Relative change below which a speed counts as constant.
 STEADY = 1e-3
 
@@ -257,9 +260,10 @@ def track_run(
 def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFolder) -> list[str]:
     _write_table(run, output.write_path("orders.csv"))
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
+    stems = file_stems((plane.name for plane in run.track.planes), "planes")
     for circles in run.circles:
         (plane,) = circles.planes
-        place = f"-{plane.name}" if plane.name else ""
+        place = f"-{stems[plane.name]}" if plane.name else ""
         figures[f"orbits{place}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
     if run.clearance is not None:
         gap, limit = run.clearance.gap, run.clearance.limit
@@ -274,12 +278,19 @@ def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFold
     return ["orders.csv", *texts]
 
 
-def run_up_table(run: TrackedRun, load: float, unbalance: Mapping[str, complex]) -> RunUp:
-    """The order 1 of every plane; ConfigError for a plane without a name."""
+def run_up_table(
+    run: TrackedRun, load: float, unbalance: Mapping[str, complex], before: TrackedRun | None = None
+) -> RunUp:
+    """The order 1 of every plane, without that of the run *before* the unbalance was added; ConfigError for a
+    plane without a name.
+    """
     if any(not plane.name for plane in run.track.planes):
         hint = "dof: disc1.x and dof: disc1.y in the rig file"
         raise ConfigError("--save-run-up: the plane of the responses has no name", hint=hint)
-    return run_up_of(run.track, run.channels, run.name, load, unbalance)
+    table = run_up_of(run.track, run.channels, run.name, load, unbalance)
+    if before is None:
+        return table
+    return added_since(run_up_of(before.track, before.channels, before.name, load, unbalance), table)
 
 
 def write_run_up(table: RunUp, path: Path) -> str:
@@ -363,7 +374,7 @@ def track_and_write(
     harmonics: int,
     revolutions: int,
     gap: str | None,
-    limit: str,
+    limit: str | None,
     save_run_up: Path | None,
     load: str | None,
     unbalance: tuple[str, ...],
@@ -378,22 +389,27 @@ def track_and_write(
     _check_options(order, is_judged, is_saved, load, unbalance)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
     conditions = _run_conditions(load, unbalance) if is_saved else None
-    added = _stated_unbalance(unbalance, baseline is not None)
+    added = _stated_unbalance(unbalance, baseline is not None, is_saved)
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
-        table = None if conditions is None else run_up_table(run, *conditions)
-        others = None
+        if centreline and not run.circles:
+            raise ConfigError("--centreline: there is no plane", hint="dof: front.x and front.y")
+        before = None
         if baseline is not None:
             before = track_run(baseline, rig, lines, order, revolutions, folder, suffix="-baseline")
             if before.probes != run.probes:
                 hint = "record both with one rig"
                 raise ConfigError("--baseline: its responses are not those of the run", baseline, hint)
-            others = before.track
+        table = None if conditions is None else run_up_table(run, *conditions, before)
         verdict = None
         if is_judged:
             verdict = judge(
-                run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
+                run.track,
+                slow_roll=slow,
+                speed_range=operating,
+                unbalance=added,
+                baseline=None if before is None else before.track,
             )
         names = write_tracked(run, verdict, folder)
         saved = ""
@@ -441,13 +457,15 @@ def _option(option: str) -> Iterator[None]:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
 
 
-def _stated_unbalance(texts: tuple[str, ...], since: bool) -> float:
-    """Stated unbalance [kg m] that the motion answers, else 0; ConfigError since a baseline."""
+def _stated_unbalance(texts: tuple[str, ...], since: bool, is_saved: bool) -> float:
+    """The one stated unbalance [kg m] that the motion answers, else 0; ConfigError where it is needed *since*
+    a baseline, or several are of no table.
+    """
     if len(texts) == 1:
         return abs(_unbalances(texts).popitem()[1])
-    if since:
+    if since or (texts and not is_saved):
         hint = "--unbalance 'disc 1=50 g.mm at 0 deg'"
-        raise ConfigError("--baseline: sensitivity is to one stated unbalance", hint=hint)
+        raise ConfigError("sensitivity is to one stated unbalance", hint=hint)
     return 0.0
 
 
@@ -537,11 +555,16 @@ def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     return unbalances
 
 
-def _clearance(gap: str | None, limit: str) -> Clearance | None:
-    share, length = _value("--limit", limit, "1"), _value("--gap", gap, "m")
-    if any(number is not None and number <= 0 for number in (share, length)):
+def _clearance(gap: str | None, limit: str | None) -> Clearance | None:
+    length, share = _value("--gap", gap, "m"), _value("--limit", limit, "1")
+    if length is None:
+        if share is not None:
+            raise ConfigError("--limit belongs to --gap", hint="leave it out")
+        return None
+    share = LIMIT if share is None else share
+    if not (length > 0 and share > 0):
         raise ConfigError("--gap and --limit must be positive")
-    return None if length is None or share is None else Clearance(length, share)
+    return Clearance(length, share)
 
 
 def _value(option: str, text: str | None, unit: str) -> float | None:

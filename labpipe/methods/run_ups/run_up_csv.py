@@ -18,9 +18,10 @@ from __future__ import annotations
 import difflib
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,8 @@ from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.table import check_columns
 from labpipe.raw_files.text_table import CsvTable, open_unpacked
-from labpipe.records.uncertain import Uncertain
+from labpipe.records.settings import parse_phasor
+from labpipe.records.uncertain import Uncertain, parse_uncertain
 from labpipe.registry import nearest
 
 KEYS = ("load", "threshold", "amplitude error", "phase error", "shaker", "shaker frequency")
@@ -39,7 +41,6 @@ _COLUMN = re.compile(
 )
 _SPEED = re.compile(r"^speed\s*(\[.*\])?$")
 _LINE = re.compile(r"^\s*#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
-_UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
 _SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P<plane>.+)$")
 UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
 
@@ -169,23 +170,20 @@ class _Reader:
         if "threshold" not in self.head:
             return None
         text, where = self.head["threshold"]
-        value, _, error = text.partition("+-")
-        if not error.strip():
+        hertz = _parse(text, where, "threshold", "Hz", parse_uncertain)
+        if not hertz.std_error:
             raise DataError("threshold: its uncertainty is missing", where, "for example 2772 rpm +- 6 rpm")
-        hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
-        return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
+        return Uncertain(2 * np.pi * hertz.value, 2 * np.pi * hertz.std_error)
 
     def unbalances(self) -> dict[str, complex]:
         unbalances = {}
         for key, (text, where) in self.head.items():
             if not key.startswith("unbalance "):
                 continue
-            match = _UNBALANCE.match(text)
-            if match is None:
+            if " at " not in text:
                 what = f"{key}: '{text}' is not a size and an angle"
                 raise DataError(what, where, "for example 50 g.mm at 0 deg")
-            size, angle = _parse(match["size"], where, key, "kg.m"), _parse(match["angle"], where, key, "rad")
-            unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
+            unbalances[key.removeprefix("unbalance ")] = _parse(text, where, key, "kg.m", parse_phasor)
         return unbalances
 
     def shaker(self) -> Shaker | None:
@@ -232,9 +230,9 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
     return entries
 
 
-def _parse(text: str, where: str, key: str, unit: str) -> float:
+def _parse(text: str, where: str, key: str, unit: str, parse: Callable[..., Any] = parse_value) -> Any:
     try:
-        return parse_value(text, unit)
+        return parse(text, unit)
     except UnitError as error:
         raise DataError(f"{key}: {error.what}", where, error.hint) from None
 

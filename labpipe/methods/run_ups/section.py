@@ -13,7 +13,7 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
 from labpipe.methods.run_ups import records
-from labpipe.methods.run_ups.measured import ReadRun, at_speeds, column, difference, run_up_of
+from labpipe.methods.run_ups.measured import ReadRun, added_since, column, difference, run_up_of
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
 from labpipe.methods.run_ups.result import Tell, listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
@@ -69,7 +69,7 @@ def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
     run = replace(_statement(settings, table), uncertainties=probes.errors(table.planes))
     if settings.subtracted is not None:
         residual = read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}, settings.load)
-        run = difference(run, residual)
+        run = difference(run, replace(residual, load=settings.load or residual.load))
     return ReadRun(settings, run)
 
 
@@ -91,9 +91,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
     run = _track(recording, lines, settings, dict(settings.unbalance))
     if settings.subtracted is not None:
         residual = _open(settings.subtracted, f"{settings.name}-residual", settings, output, folder)
-        # Nothing was added before the residual run, where the run has its weights.
-        subtracted = _track(residual, lines, settings, dict.fromkeys(dict(settings.unbalance), 0j))
-        run = difference(run, at_speeds(subtracted, run.speed))
+        run = added_since(_track(residual, lines, settings, dict(settings.unbalance)), run)
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
 
 

@@ -65,6 +65,14 @@ def turning(uncertainty: Uncertainty, n_plane: int, slope: complex = 1j, power: 
 METHODS = Registry("run-up method")
 METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
+# Settings of labpipe's own methods, each with those that it is of.
+OF_METHODS = {
+    "bound": ("amplitudes", "points"),
+    "ridge": ("points",),
+    "known": ("joint",),
+    "search": ("amplitudes",),
+    "starts": ("amplitudes",),
+}
 
 
 def _file(help: str, kind: str, into: str) -> Any:
@@ -236,6 +244,11 @@ class RunUpSettings(Settings):
                     raise SettingError(field, f"unknown name '{name}'", nearest(name, table))
                 if names.count(name) > 1:
                     raise SettingError(field, f"'{name}' is named twice", "leave one out")
+        own = set(self.methods) <= {"amplitudes", "points", "joint", "process"}
+        for key in self.written if own else ():
+            if not {*OF_METHODS.get(key, self.methods)} & {*self.methods}:
+                what = f"'{key}' is of {' and '.join(OF_METHODS[key])}, which is not among the methods"
+                raise SettingError(key, what, "leave it out")
         if len(set(self.known)) == len(PARAMETERS):
             raise SettingError("known", "nothing is left to estimate", "leave some out")
         if not (0 < self.bound < 1 and self.ridge > 0):
