@@ -163,7 +163,6 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> chart.Pan
 
 
 def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
-    """Amplitudes without the slow roll over speed, critical speeds with their intervals, operating speeds."""
     unit, factor = _unit(quantity)
     series: list[chart.Series] = []
     for number, label in enumerate(verdict.probes):
@@ -194,19 +193,13 @@ def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
 Column = tuple[str, FloatArray]
 
 
-@dataclass(frozen=True)
-class Clearance:
-    """The radial *gap* of the bearings [m], and the *limit* of a motion as a share of it."""
-
-    gap: float
-    limit: float
+# The radial gap of the bearings [m], and the limit of a motion as a share of it.
+Clearance = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """An order over a run of *channels*, and in forward and backward circles for every plane with two
-    responses in known directions. *clearance*: gap that orbits are compared with, if any.
-    """
+    """An order over a run of *channels*, and in circles of every plane; *clearance* for its orbits."""
 
     name: str
     channels: tuple[Channel, ...]
@@ -216,7 +209,6 @@ class TrackedRun:
 
     @property
     def probes(self) -> tuple[tuple[str, str], ...]:
-        """Name and quantity of every response."""
         return tuple((c.name, c.quantity) for c in self.channels if c.role == "output")
 
     @property
@@ -241,8 +233,8 @@ def track_run(
     clearance: Clearance | None = None,
     suffix: str = "",
 ) -> TrackedRun:
-    """The order of a raw file (with its rig), its recording written with a *suffix*, or of a calibrated
-    recording. ConfigError for a gap where no plane moves in it.
+    """The order of a raw file (with its rig), its recording written with a *suffix*, or of a calibrated one.
+    ConfigError for a gap where no plane moves in it.
     """
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", source, "add -r RIG")
@@ -266,8 +258,7 @@ def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFold
         place = f"-{stems[plane.name]}" if plane.name else ""
         figures[f"orbits{place}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
     if run.clearance is not None:
-        gap, limit = run.clearance.gap, run.clearance.limit
-        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, gap, limit)
+        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, *run.clearance)
     entries = {}
     if verdict is not None:
         entries["judgement.json"] = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
@@ -281,9 +272,7 @@ def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFold
 def run_up_table(
     run: TrackedRun, load: float, unbalance: Mapping[str, complex], before: TrackedRun | None = None
 ) -> RunUp:
-    """The order 1 of every plane, without that of the run *before* the unbalance was added; ConfigError for a
-    plane without a name.
-    """
+    """The 1x of every plane, less that of the run *before*; ConfigError for a plane without a name."""
     if any(not plane.name for plane in run.track.planes):
         hint = "dof: disc1.x and dof: disc1.y in the rig file"
         raise ConfigError("--save-run-up: the plane of the responses has no name", hint=hint)
@@ -294,7 +283,6 @@ def run_up_table(
 
 
 def write_run_up(table: RunUp, path: Path) -> str:
-    """Write a run-up table, complete or absent; what is in it."""
     with output_file(path) as target:
         write_run_up_csv(target, table)
     text = f"{path}, {table.n_speed} speeds"
@@ -303,7 +291,6 @@ def write_run_up(table: RunUp, path: Path) -> str:
 
 
 def order_lines(run: TrackedRun) -> Iterator[str]:
-    """The largest amplitudes, and orbits against the gap."""
     unit, factor = _unit(run.quantity)
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):
@@ -315,7 +302,7 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
             yield line
     if run.clearance is None:
         return
-    gap, share = run.clearance.gap, run.clearance.limit
+    gap, share = run.clearance
     limit = f"{100 * share:g} %"
     for number, plane in enumerate(run.track.planes):
         orbit = run.track.orbit[:, number]
@@ -349,7 +336,6 @@ def _write_table(run: TrackedRun, path: Path) -> None:
 
 
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
-    """Half axis |f| + |b| of the order, largest distance of the whole motion, also per gap."""
     (plane,) = circles.planes
     whole = circles.orbit[:, 0]
     columns = {
@@ -359,7 +345,7 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
         "centreline_y": circles.mean[:, 1],
     }
     if clearance is not None:
-        columns["orbit_per_gap"] = whole / clearance.gap
+        columns["orbit_per_gap"] = whole / clearance[0]
     return [(plane.labelled(name), values) for name, values in columns.items()]
 
 
@@ -450,7 +436,6 @@ def _band(option: str, text: str | None) -> tuple[float, float] | None:
 
 @contextmanager
 def _option(option: str) -> Iterator[None]:
-    """A value that cannot be read is a fault of the option."""
     try:
         yield
     except UnitError as error:
@@ -458,9 +443,7 @@ def _option(option: str) -> Iterator[None]:
 
 
 def _stated_unbalance(texts: tuple[str, ...], since: bool, is_saved: bool) -> float:
-    """The one stated unbalance [kg m] that the motion answers, else 0; ConfigError where it is needed *since*
-    a baseline, or several are of no table.
-    """
+    """The one unbalance [kg m] that the motion answers, else 0; ConfigError where a baseline needs it."""
     if len(texts) == 1:
         return abs(_unbalances(texts).popitem()[1])
     if since or (texts and not is_saved):
@@ -470,7 +453,6 @@ def _stated_unbalance(texts: tuple[str, ...], since: bool, is_saved: bool) -> fl
 
 
 def _centreline(run: TrackedRun) -> Iterator[str]:
-    """How far the mean position moved in every plane from the lowest to the highest speed."""
     unit, factor = _unit(run.quantity)
     first, last = int(np.argmin(run.track.speed)), int(np.argmax(run.track.speed))
     for circles in run.circles:
@@ -478,7 +460,7 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
         x, y = circles.mean[last] - circles.mean[first]
         moved, share = float(np.hypot(x, y)), ""
         if run.clearance is not None:
-            share = f", {100 * moved / run.clearance.gap:.3g} % of the gap"
+            share = f", {100 * moved / run.clearance[0]:.3g} % of the gap"
         yield (
             f"{plane.name:<8} centreline moved by {factor * moved:.4g} {unit} at "
             f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
@@ -487,7 +469,6 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
 
 
 def judgement_lines(verdict: Judgement, quantity: str) -> Iterator[str]:
-    """Slow roll, critical speeds with their margins and decisions, sensitivities."""
     unit, factor = _unit(quantity)
     if verdict.slow_roll is not None:
         for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True):
@@ -519,18 +500,17 @@ def _ends(estimate: Estimate, factor: float = 1.0) -> str:
 
 def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
     """The judgement as `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
+    slow_roll = None
+    if verdict.slow_roll is not None:
+        vectors = zip(verdict.probes, verdict.slow_roll.tolist(), strict=True)
+        slow_roll = {label: {"re": vector.real, "im": vector.imag} for label, vector in vectors}
     return {
         "schema": "labpipe/run-up-judgement/1",
         "quantity": quantity,
         "accepted": verdict.accepted,
         "not_run": verdict.not_run,
         "speed_range_hz": verdict.speed_range,
-        "slow_roll": None
-        if verdict.slow_roll is None
-        else {
-            label: {"re": float(vector.real), "im": float(vector.imag)}
-            for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True)
-        },
+        "slow_roll": slow_roll,
         "critical_speeds": [asdict(peak) for peak in verdict.peaks],
         "sensitivities": [asdict(sensitivity) for sensitivity in verdict.sensitivities],
     }
@@ -564,7 +544,7 @@ def _clearance(gap: str | None, limit: str | None) -> Clearance | None:
     share = LIMIT if share is None else share
     if not (length > 0 and share > 0):
         raise ConfigError("--gap and --limit must be positive")
-    return Clearance(length, share)
+    return length, share
 
 
 def _value(option: str, text: str | None, unit: str) -> float | None:

@@ -48,9 +48,8 @@ UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error"
 def read_run_up_csv(
     path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None, load: float | None = None
 ) -> RunUp:
-    """The run-up of a table; DataError names the file, the line or column, and the remedy. *unbalance* [kg m]
-    by plane, for a table without unbalance lines; empty for a run with its residual unbalance only. *load*
-    [N]: for a table without a line of it.
+    """The run-up of a table; *unbalance* [kg m] by plane (empty: residual only) and *load* [N] for one
+    without such lines. DataError names the file, the line or column, and the remedy.
     """
     if not path.exists():
         raise DataError("no such file", path)
@@ -82,8 +81,6 @@ def read_run_up_csv(
 
 
 class _Reader:
-    """A table, its columns by plane, direction and quantity, and the lines above it."""
-
     def __init__(self, path: Path) -> None:
         self.path, self.table, self.head = path, CsvTable(path), _head(path)
         self.columns = self._columns()
@@ -238,9 +235,7 @@ def _parse(text: str, where: str, key: str, unit: str, parse: Callable[..., Any]
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits. Constant
-    errors as comment lines.
-    """
+    """As `read_run_up_csv` reads it: rpm, um and degrees, six digits, constant errors as comment lines."""
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):
@@ -281,7 +276,7 @@ def _lines(run: RunUp, relative: float | None, phase: float | None) -> list[str]
     return lines
 
 
-# A run-up table begins with the load in a comment, within so many bytes.
+# Bytes within which a run-up table states the load.
 HEAD = 4096
 _RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)
 

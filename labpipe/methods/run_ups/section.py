@@ -45,9 +45,7 @@ def read_run(
     folder: Path,
     probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
-    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry.
-    *probes*: those of tables.
-    """
+    """The run of a pipeline's entry, less its residual run; LabpipeError names it. *probes*: of tables."""
     try:
         read = run_as_measured(settings, output, folder, probes)
         rig.excited(read.run)
@@ -120,9 +118,7 @@ def _track(
 
 
 def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[records.Cascade, ...]:
-    """Cascade of every displacement; groups of lines are reduced to their maximum, so that no peak is
-    lost.
-    """
+    """Of every displacement; groups of lines are reduced to their maximum, so that no peak is lost."""
     spectra = cascade_spectra(recording, lines)
     group = -(-spectra.frequency.size // MOST_LINES)
     whole = spectra.frequency.size // group * group
@@ -140,7 +136,7 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[records.Ca
 def identify_run_ups(
     settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
 ) -> records.RunUpResult:
-    """All methods of the section, compared on every run. *folder*: of the pipeline file."""
+    """All methods of the section on every run; *folder*: of the pipeline file."""
     rig = settings.rig
     assert rig is not None
     recorded = [run for run in settings.runs if run.recording]
@@ -175,7 +171,7 @@ class _Address:
 
 
 def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """The outcome of a rule; ConfigError at its place for what the result does not have."""
+    """Of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
         return rule.outcome(*compare_warnings(rule, result.findings))
     match = _ADDRESS.match(rule.item)

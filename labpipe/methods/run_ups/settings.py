@@ -23,9 +23,7 @@ KEYPHASOR = "keyphasor"
 
 @dataclass(frozen=True)
 class ProbeUncertainties:
-    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad]
-    of the keyphasor. None for none.
-    """
+    """Of the probes of a table: relative gain [1], phase [rad], delay [s]; angle [rad] of the keyphasor."""
 
     gain: Uncertain | None = None
     phase: Uncertain | None = None
@@ -33,9 +31,7 @@ class ProbeUncertainties:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """The errors of every probe, named by plane and direction. Each is its own, unless the uncertainty
-        names a source.
-        """
+        """Of every probe, each its own, by plane and direction, unless the uncertainty names a source."""
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
@@ -46,11 +42,8 @@ class ProbeUncertainties:
                 for axis, direction in enumerate(DIRECTIONS):
                     matrix = np.zeros((len(planes), 2, 2), np.complex128)
                     matrix[at, axis, axis] = slope
-                    errors.append(
-                        ProbeError(
-                            uncertainty_of(number, f"{plane} {direction}.{effect}", unit), matrix, power
-                        )
-                    )
+                    source = uncertainty_of(number, f"{plane} {direction}.{effect}", unit)
+                    errors.append(ProbeError(source, matrix, power))
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
             errors.append(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
         return tuple(errors)
@@ -81,8 +74,8 @@ def _file(help: str, kind: str, into: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
-    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place
-    of the table's. path, subtracted: the files with their folder; recorded_by: contents of `rig`.
+    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane in place of the
+    table's. path, subtracted: the files with their folder; recorded_by: contents of `rig`.
     """
 
     file: str = _file("table of the run-up (CSV), relative to the pipeline file", "path", "path")
@@ -160,9 +153,7 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True)
 class ProbeSettings(Settings):
-    """Standard uncertainties of the probes of all runs, each by itself. How else they are meant stands in
-    brackets, as in a rig file.
-    """
+    """Standard uncertainties of the probes of all runs, or as brackets say, as in a rig file."""
 
     gain: str = setting(
         "text",
@@ -177,15 +168,10 @@ class ProbeSettings(Settings):
     uncertainties: ProbeUncertainties = ProbeUncertainties()
 
     def __post_init__(self) -> None:
-        units = {
-            "gain": ("1", "1"),
-            "phase": ("0 rad", "rad"),
-            "delay": ("0 s", "s"),
-            "keyphasor": ("0 rad", "rad"),
-        }
+        units = {"gain": "1", "phase": "rad", "delay": "s", "keyphasor": "rad"}
         numbers = {}
-        for name, (value, unit) in units.items():
-            text = getattr(self, name)
+        for name, unit in units.items():
+            text, value = getattr(self, name), "1" if name == "gain" else f"0 {unit}"
             try:
                 numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
             except UnitError as error:

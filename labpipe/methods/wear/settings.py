@@ -31,7 +31,7 @@ UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Joint normal distribution of parameters: names, mean (n,) and covariance (n, n) in SI units."""
+    """Joint normal distribution of parameters: names, mean (n,), covariance (n, n) [SI units]."""
 
     names: tuple[str, ...]
     mean: tuple[float, ...]
@@ -168,7 +168,7 @@ class WearSettings(Settings):
 
     @property
     def nuisance_prior(self) -> Gaussian:
-        """Prior of the nuisance parameters: the posterior of a tuning, or the settings' values."""
+        """The posterior of a tuning, or the settings' values."""
         if self.posterior is not None:
             return self.posterior
         nuisances = [self._given[name] for name in self.nuisances]
@@ -187,9 +187,7 @@ LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
-    ConfigError if there is no such fit, or several.
-    """
+    """Settings with the posterior of the fit that `prior` names; ConfigError where there is not one."""
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
@@ -209,9 +207,8 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
-    """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it
-    was of the *same_wear*. Standard errors are taken as inflated where the residual exceeds the noise;
-    ConfigError where the fit tuned nothing.
+    """Mean and covariance of the tuned parameters of a fit [SI units], of depth and angle as well where it
+    was of the *same_wear*, inflated where its residual exceeds the noise. ConfigError where it tuned nothing.
     """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)

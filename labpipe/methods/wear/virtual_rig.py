@@ -1,6 +1,4 @@
-"""A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an
-unbalance line.
-"""
+"""A virtual rotor in journal bearings, healthy or worn, under white noise in y, then in z."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ class JournalNoise(StandardDeviations):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of
-    `rotor`.
-    """
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: that of `rotor`."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
@@ -89,7 +85,6 @@ class VirtualJournalRig(Settings):
             self._check_states()
 
     def _check_states(self) -> None:
-        """SettingError for a state that the film does not allow."""
         for state, wear in self.states:
             try:
                 true_rig(self, wear.depth, wear.angle)
@@ -138,9 +133,7 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
 
 
 def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
-    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above
-    zero; (n, 2, 2) [m/N].
-    """
+    """H (n, 2, 2) [m/N] in y and z between the rig's nodes at *frequency* (n,) [Hz], above zero."""
     supports = rig.supports(mesh)
     nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
     parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]
