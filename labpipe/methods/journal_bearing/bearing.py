@@ -144,7 +144,8 @@ def _balance(
         closing = float(np.max(-(change @ film.grid.at_face) / face))
         part = min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
         displacement = displacement + part * change
-        side = equations.residual + np.tensordot(change, equations.by_displacement, 1)
+        y, z = equations.by_displacement
+        side = equations.residual + change[0] * y + change[1] * z
         pressure = pressure - part * factors.solve(side[None])[0]
         if np.max(np.abs(change)) < tolerance:
             force = film.force_weights @ pressure.sum(axis=1)

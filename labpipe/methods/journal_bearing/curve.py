@@ -279,11 +279,10 @@ class _Sheet:
         self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None
     ) -> JournalEquilibrium:
         bearing, weight = self.bearing, float(np.hypot(*self.load))
-        per_sommerfeld = 6 * np.pi * weight / bearing.force_scale(self.speed)
-        viscosity = bearing.viscosity * np.exp(log_sommerfeld) * per_sommerfeld
+        force = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight
         worn = dataclasses.replace(
             bearing,
-            viscosity=float(viscosity),
+            viscosity=float(force / bearing.force_scale(self.speed)),
             wear_depth=float(self.root**2 * bearing.clearance),
             wear_angle=float(angle),
             cavitation_pressure=float(cavitation * weight / (bearing.length * bearing.diameter)),

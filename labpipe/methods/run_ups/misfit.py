@@ -191,6 +191,7 @@ WORDS = {
     8: "all eight coefficients are determined",
 }
 ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
+OF_SHAKER = "a run under an unbalance adds rank, and so does a shaker run in another direction"
 
 
 def rank_statements(
@@ -227,8 +228,9 @@ def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, spee
     acting = [(run.unbalance if run.shaker is None else None, run.shaker) for run in runs]
     parts = [_slopes(rig, place, eight, *of_run) * unit for of_run in acting]
     named = ", ".join(run.name for run in runs)
-    without_shaker = len(runs) > 1 and all(run.shaker is None for run in runs)
-    return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
+    shaken = [run.shaker is not None for run in runs]
+    advice = OF_SHAKER if all(shaken) else ADVICE if len(runs) > 1 and not any(shaken) else ""
+    return _statement(named, np.concatenate(parts), advice)
 
 
 def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:

@@ -26,7 +26,7 @@ from labpipe.methods.run_ups.methods import (
     start,
     with_unbalance_of,
 )
-from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
+from labpipe.methods.run_ups.misfit import ADVICE, measured_statement, rank_statements
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, carried_beyond, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
@@ -226,8 +226,7 @@ def _advice(result: records.RunUpResult) -> list[Finding]:
         return []
     place = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"
     fewest = f"the runs {place} determine {result.measured_rank.rank} of 8 coefficients"
-    advice = next((row.advice for row in result.ranks if row.advice), "")
-    return [note("experiment", f"{fewest}; {advice}")]
+    return [note("experiment", f"{fewest}; {result.measured_rank.advice or ADVICE}")]
 
 
 MEASURED = "run_ups.measured"

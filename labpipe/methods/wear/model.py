@@ -262,9 +262,9 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
         what = f"worn-bearing takes two responses and two forces, found {ports}"
         raise ConfigError(what, hint="excite in y, then in z")
     # (responses) = P (y, z): P of the sensors' directions, or A^-1 of forward and backward.
-    left = FROM_DIRECTIONAL
-    if not _is_directional(response.outputs):
-        left = np.linalg.inv(_in_yz(response.outputs, "responses"))
+    directional = _is_directional(response.outputs)
+    sensing = np.linalg.inv(FROM_DIRECTIONAL) if directional else _in_yz(response.outputs, "responses")
+    left = np.linalg.inv(sensing)
     right = np.linalg.inv(
         FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
     )

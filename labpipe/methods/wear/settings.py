@@ -128,15 +128,18 @@ class WearSettings(Settings):
         if self.prior and self.nuisances:
             what = f"'prior' already covers {', '.join(self.nuisances)}"
             raise SettingError("prior", what, "leave one of them out")
-        if self.healthy and not self.nuisances:
-            hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
-            raise SettingError("healthy", "nothing to tune", hint)
         self._check_nuisances()
         assert self.mesh
         if self.rig is not None and not self.healthy:
             worn_place(self.rig, self.bearing)
 
     def _check_nuisances(self) -> None:
+        if self.healthy and self.bearing:
+            what = "'bearing' names a worn one; a healthy rig is tuned in all of them"
+            raise SettingError("bearing", what, "leave it out")
+        if self.healthy and not self.nuisances:
+            hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
+            raise SettingError("healthy", "nothing to tune", hint)
         for name, nuisance in self._given.items():
             if name == "cavitation_pressure":
                 if nuisance.value > 0:

@@ -26,6 +26,7 @@ from tests.methods.wear.worn_cases import NUISANCES, wear_settings
         ({"start_angles": (0.5,)}, "leave the range of angles"),
         ({"prior": "tuning", **NUISANCES}, "already covers viscosity, clearance"),
         ({"healthy": True}, "nothing to tune"),
+        ({"healthy": True, "bearing": "bearing 2", **NUISANCES}, "tuned in all of them"),
         ({"same_wear": True}, "goes with the 'prior'"),
         ({"cavitation_pressure": Uncertain(1e4, 1e3)}, "above the ambient"),
         ({"viscosity": Uncertain(0.0, 0.1)}, "'viscosity' must be positive"),
