@@ -1,9 +1,8 @@
 """Balancing by influence coefficients: vibration z = z_0 + sum_q alpha_q w_q of every reading.
 
-Noise leaves z_0 and alpha uncertain; the weights are those of the least expected square of the vibration that
-is left, which do not trust an influence that is hardly known; without noise they are -pinv(alpha) z_0
-(Goodman 1964; Darlow 1989). What a model of the rotor says of z_0 and alpha is a prior and runs are data: the
-model alone, runs alone and both are one estimate.
+The weights are those of the least expected square of what is left, which do not trust an influence that is
+hardly known; without noise -pinv(alpha) z_0 (Goodman 1964; Darlow 1989). What a model of the rotor says of
+z_0 and alpha is a prior and runs are data: the model alone, runs alone and both are one estimate.
 """
 
 from __future__ import annotations
@@ -163,15 +162,15 @@ def square_of(drawn: ComplexArray) -> ComplexArray:
 
 
 def best_weights(square: ComplexArray) -> ComplexArray:
-    """The weights (..., n_plane) [kg m] of the least expected *square* (..., n_plane + 1, n_plane + 1) of the
-    vibration that is left: w = -A^-1 b of its blocks. Equation (system-balance).
+    """w = -A^-1 b (..., n_plane) [kg m] of the blocks of a *square* (..., n_plane + 1, n_plane + 1), which
+    they make least. Equation (system-balance).
     """
     return np.asarray(-np.linalg.solve(square[..., 1:, 1:], square[..., 1:, :1])[..., 0])
 
 
 def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
-    """Root mean square over the last lines (...) [unit of the readings] of z_0 + alpha w, of drawn z_0 and
-    alpha (..., n_line, n_plane + 1) with *weights* w (n_plane,) [kg m].
+    """Root mean square over lines (...) [unit of the readings] of drawn z_0 + alpha w, (..., n_line, n_plane
+    + 1), with *weights* w (n_plane,) [kg m].
     """
     left = drawn @ np.concatenate([[1.0], weights])
     return np.asarray(np.sqrt(np.mean(np.abs(left) ** 2, axis=-1)))

@@ -131,8 +131,7 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
 
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
-# Degree of the splines, and fewest nodes along an axis; three allow a parabola.
-CUBIC, FEWEST_NODES = 3, 3
+CUBIC = 3
 # Root of depth over clearance below which the limit of the derivative at zero depth applies.
 LEAST_ROOT = 1e-4
 
@@ -154,16 +153,6 @@ class TableRange:
     n_sommerfeld: int = 4
     n_cavitation: int = 5
     tolerance: float = TOLERANCE
-
-    def __post_init__(self) -> None:
-        if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
-            raise ConfigError(
-                "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
-            )
-        if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
-            raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
-        if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
-            raise ConfigError(f"splines need at least {FEWEST_NODES} nodes along every axis of the table")
 
     @property
     def sommerfeld_factor(self) -> float:

@@ -23,8 +23,7 @@ from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
 
-# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
-# (n_chosen,).
+# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of problems (n_chosen,).
 Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 
@@ -204,14 +203,13 @@ class SpeedwiseFit:
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeFit(SpeedwiseFit):
     """A fit to amplitudes alone: objective, measured (n_speed,), sums of squares [m^2]; of its search
-    evaluations, mesh, capped (n_speed,) and history; every start's factors (n_start, n_speed, 8) and
+    evaluations, capped (n_speed,) and history; every start's factors (n_start, n_speed, 8) and
     objectives (n_start, n_speed), from the rotor file's coefficients first.
     """
 
     objective: FloatArray
     measured: FloatArray
     evaluations: IntArray
-    mesh: FloatArray
     capped: BoolArray
     history: SearchHistory
     factors: FloatArray
@@ -279,7 +277,6 @@ def _fit_load(
         chi2=float(np.sum((misfit / amplitudes.error) ** 2)),
         n_datum=amplitudes.measured.size,
         evaluations=search.evaluations[best],
-        mesh=search.mesh[best],
         capped=search.capped[best],
         history=search.history.at(slice(None), best),
         factors=search.values.reshape(starts, n, 8),

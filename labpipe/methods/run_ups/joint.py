@@ -190,7 +190,7 @@ class RunUpFit(Posterior[Family]):
         return self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
 
     def extrapolated(self, load: float) -> str:
-        """Warning on a *load* [N] outside those of the fit; empty within."""
+        """Warning on a *load* [N] beyond those of the fit, or empty."""
         beyond = outside(load, min(self.loads), max(self.loads), "the fit")
         return beyond and f"{beyond}: "
 
@@ -246,11 +246,11 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement under the known unbalance at a plane, or the last one."""
+        """Speed [rad/s] of the largest displacement at a plane, or the last one."""
         return self._predict(lambda values: self.rig.critical_speed(self.model.at_load(values, load), plane))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s], if there is one up to twice the highest speed of the search."""
+        """Onset speed of instability [rad/s], if there is one within the search."""
         if self.rig.threshold(self.at_load(load)) is None:
             return None
 
@@ -264,7 +264,7 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         return self._predict(speed_of)
 
     def caution(self, load: float) -> str:
-        """Warning on a prediction at a *load* [N]: family rejected, load extrapolated; empty otherwise."""
+        """Warning on a rejected family and on a *load* [N] beyond those of the fit, or empty."""
         excess = f"chi-square per datum is {self.chi2_per_datum:.1f}"
         rejected = f"{excess}: the bearing is not of the fitted family, and no interval is given"
         only = "the interval holds for bearings of the fitted family only; "

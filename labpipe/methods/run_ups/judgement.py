@@ -92,7 +92,7 @@ class Judgement:
 
     @property
     def accepted(self) -> bool:
-        """Whether the speed range was run and every margin is kept; what is undecided is not."""
+        """Whether the speed range was run and every margin is kept."""
         if self.speed_range is None:
             return True
         low, high = self.speed_range
@@ -290,7 +290,7 @@ def _peaks(
 
 
 def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Critical | None:
-    """The largest amplitude with its half-power speeds, by parabola and lines of 1 / amplitude^2."""
+    """By parabola, half-power speeds by lines of 1 / amplitude^2."""
     top = first + int(np.argmax(amplitude[first : last + 1]))
     if not 0 < top < fine.size - 1:
         return None

@@ -21,7 +21,6 @@ from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import to_display
 from labpipe.records.recording import Channel
 from labpipe.records.uncertain import COURSES, Uncertain
-from labpipe.registry import nearest
 from labpipe.spectra.orders import OrderTrack
 
 POINTS = 11
@@ -36,10 +35,8 @@ FINE = 1601
 
 def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     """Speed [rad/s] of the largest displacement at a plane (the last one unless named). DataError without
-    that plane, or without a peak with measured speeds on both sides. Equation (run-peak).
+    a peak with measured speeds on both sides. Equation (run-peak).
     """
-    if plane and plane not in run.planes:
-        raise DataError(f"no plane '{plane}' in run '{run.name}'", hint=nearest(plane, run.planes))
     number = run.planes.index(plane) if plane else len(run.planes) - 1
     top = _top(run, number)
     size = min(POINTS, run.n_speed)

@@ -294,7 +294,7 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
 
 
 def caution(model: Metamodel, load: float) -> str:
-    """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
+    """Warning on a *load* [N] beyond those of the fit, or empty."""
     beyond, scope = outside(load, *model.extent.loads, "this metamodel"), "does not cover extrapolation"
     if model.kind in ("physical", "process"):
         scope = "is valid under its assumptions only"

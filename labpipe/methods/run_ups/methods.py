@@ -18,7 +18,7 @@ from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import column, motions
-from labpipe.methods.run_ups.metamodel_kinds import Queried
+from labpipe.methods.run_ups.metamodel_kinds import SAME_LOAD, Queried
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, sources_of
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.rotor import PARAMETERS, RPM, RunUpRotor, as_eight
@@ -48,7 +48,7 @@ class AtLoad:
 
 
 def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
-    """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
+    """The rotor with a run's unbalance."""
     known, sizes = rig.known_unbalance, run.unbalance
     same = known.keys() == sizes.keys() and all(
         abs(size - known[plane]) <= 1e-9 * abs(size) for plane, size in sizes.items()
@@ -62,7 +62,7 @@ def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
 
 
 def excited_as(rig: RunUpRotor, runs: Iterable[records.RunUp]) -> RunUpRotor:
-    """The rotor with the unbalance of the first of *runs* that has one, where its file states none."""
+    """The rotor with its own unbalance, or that of the first of *runs* that has one."""
     stated = [run for run in runs if run.shaker is None]
     return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
 
@@ -123,8 +123,6 @@ def _drawn_speeds(
     return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
 
 
-BOUND = 0.3
-RIDGE = 0.15
 MOST_STEPS = 60
 TOLERANCE = 1e-6
 LEAST_DAMPING = 1e-9
@@ -144,7 +142,7 @@ PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 
 
 def fit_points(
-    rig: RunUpRotor, runs: Iterable[records.RunUp], bound: float = BOUND, ridge: float = RIDGE
+    rig: RunUpRotor, runs: Iterable[records.RunUp], bound: float = 0.3, ridge: float = 0.15
 ) -> list[PointFit]:
     """One PointFit per load; *bound* and *ridge* in parts of the `scales`. Equation (run-points)."""
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]
@@ -185,7 +183,7 @@ def _normal(slopes: FloatArray) -> FloatArray:
 
 
 def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float, ridge: float) -> FloatArray:
-    """The minimum of every point (n_speed, 8), damped where a step does not lower its sum of squares."""
+    """Of every point (n_speed, 8), damped where a step does not lower its sum of squares."""
     parts, damping = np.zeros_like(start), np.full(start.shape[0], 1e-6)
     residual, slopes = group.residual_and_slopes(start)
     cost = _cost(residual, parts, ridge)
@@ -237,15 +235,13 @@ def _step(
     return np.clip(parts + step, -bound, bound)
 
 
-SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
 WITHOUT_INTERVAL = (
     "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval"
 )
 ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel extends them to this load"
 
-# Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is
-# none.
+# Prediction for a run, on a rotor with its unbalance, or why there is none.
 Predictor = Callable[[RunUpRotor, records.RunUp], AtLoad | str]
 
 

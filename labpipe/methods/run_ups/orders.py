@@ -257,7 +257,7 @@ def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFold
         (plane,) = circles.planes
         place = f"-{stems[plane.name]}" if plane.name else ""
         figures[f"orbits{place}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
-    if run.clearance is not None:
+    if run.clearance:
         figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, *run.clearance)
     entries = {}
     if verdict is not None:
@@ -365,10 +365,10 @@ def track_and_write(
     load: str | None,
     unbalance: tuple[str, ...],
     quiet: bool,
-    slow_roll: str | None = None,
-    speed_range: str | None = None,
-    baseline: Path | None = None,
-    centreline: bool = False,
+    slow_roll: str | None,
+    speed_range: str | None,
+    baseline: Path | None,
+    centreline: bool,
 ) -> int:
     slow, operating = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
     is_judged, is_saved = any((slow, operating, baseline)), save_run_up is not None
@@ -458,9 +458,8 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
     for circles in run.circles:
         (plane,) = circles.planes
         x, y = circles.mean[last] - circles.mean[first]
-        moved, share = float(np.hypot(x, y)), ""
-        if run.clearance is not None:
-            share = f", {100 * moved / run.clearance[0]:.3g} % of the gap"
+        moved = float(np.hypot(x, y))
+        share = f", {100 * moved / run.clearance[0]:.3g} % of the gap" if run.clearance else ""
         yield (
             f"{plane.name:<8} centreline moved by {factor * moved:.4g} {unit} at "
             f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
@@ -499,7 +498,7 @@ def _ends(estimate: Estimate, factor: float = 1.0) -> str:
 
 
 def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
-    """The judgement as `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
+    """As `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
     slow_roll = None
     if verdict.slow_roll is not None:
         vectors = zip(verdict.probes, verdict.slow_roll.tolist(), strict=True)

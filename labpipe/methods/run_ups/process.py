@@ -164,8 +164,8 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement under the known unbalance at a plane, or the last one;
-        its error from d Omega = -d(A') / A'', A the displacement at the peak and a little to both sides.
+        """Speed [rad/s] of the largest displacement at a plane, or the last one; its error from d Omega =
+        -d(A') / A'', A the displacement at the peak and a little to both sides.
         """
         speed = self.rig.critical_speed(self.at_load(load), plane)
         step = PEAK_STEP * speed
@@ -182,7 +182,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s], if there is one up to twice the highest speed of the search."""
+        """Onset speed of instability [rad/s], if there is one within the search."""
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
@@ -193,7 +193,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
 
     def caution(self, load: float) -> str:
-        """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
+        """Warning on a *load* [N] beyond those of the fit, or empty."""
         outside = self.extrapolated(load)
         return outside and (
             f"{outside}the smooth factors are extrapolated, and the interval assumes their correlation over "

@@ -317,6 +317,10 @@ class MetamodelResult(Predicts):
     model: dict[str, Any] = field(default_factory=dict)
 
 
+# What has predictions of every run.
+Model = RunUpMethod | MetamodelResult
+
+
 @dataclass(frozen=True)
 class RunUpResult:
     """Run-ups of one rotor, all methods; *plane*: of the critical speeds; metamodels_of: the method that they
@@ -340,7 +344,7 @@ class RunUpResult:
     findings: tuple[Finding, ...] = ()
 
     @property
-    def predictors(self) -> tuple[RunUpMethod | MetamodelResult, ...]:
+    def predictors(self) -> tuple[Model, ...]:
         return (*self.methods, *self.metamodels)
 
     def method(self, name: str) -> RunUpMethod | None:

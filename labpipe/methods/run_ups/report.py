@@ -64,9 +64,9 @@ def speed_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
 
 
 def _speed_table(
-    result: records.RunUpResult, item: str, caption: str, models: Sequence[records.MetamodelResult] = ()
+    result: records.RunUpResult, item: str, caption: str, models: Sequence[records.Model] = ()
 ) -> Table:
-    columns: Sequence[records.RunUpMethod | records.MetamodelResult] = models or result.methods
+    columns = models or result.methods
     header = ("run", "measured", *(_heading(column) for column in columns))
     rows = []
     for run in _runs_with(result, item):
@@ -78,7 +78,7 @@ def _speed_table(
     return Table(header, tuple(rows), caption)
 
 
-def _heading(column: records.RunUpMethod | records.MetamodelResult) -> str:
+def _heading(column: records.Model) -> str:
     name = SHORT.get(column.name, column.name)
     rejected = getattr(column, "verdict", "") == records.REJECTED
     return f"{name}, {records.REJECTED}" if rejected else name
@@ -305,7 +305,7 @@ def _cautions(result: records.RunUpResult) -> tuple[Block, ...]:
     )
 
 
-def _notes(owners: Sequence[records.RunUpMethod | records.MetamodelResult]) -> dict[str, list[str]]:
+def _notes(owners: Sequence[records.Model]) -> dict[str, list[str]]:
     notes: dict[str, list[str]] = {}
     for owner in owners:
         for prediction in owner.predictions:

@@ -251,6 +251,7 @@ def _speeds(
     for name in ("critical_speed", "threshold"):
         speed: records.Amount | None = getattr(owner, name)
         if speed is not None:
-            errors = {"std_error": speed.std_error, "ci95": speed.ci95}
-            parameter = Parameter(name, speed.value, "rad/s", **errors, derived=True)  # type: ignore[arg-type]
+            parameter = Parameter(
+                name, speed.value, "rad/s", std_error=speed.std_error, ci95=speed.ci95, derived=True
+            )
             yield ListedParameter(fit=fit, parameter=parameter, test=run, model="run_ups", warnings=codes)

@@ -26,7 +26,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.journal_bearing.curve import JournalCurve, curve_of, sommerfeld_number
+from labpipe.methods.journal_bearing.curve import TO_LOAD_FRAME, JournalCurve, curve_of, sommerfeld_number
 from labpipe.methods.rotor.pinned import (
     CoefficientsAtSpeed,
     CondensedRotor,
@@ -123,13 +123,13 @@ class FilmFamily:
 
 
 def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """K [N/m] and C [N s/m], (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
+    """K [N/m] and C [N s/m], (..., 2, 2), from COEFFICIENTS (..., 8)."""
     split = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
     return split[..., 0, :, :], split[..., 1, :, :]
 
 
 def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-    """The eight COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
+    """COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
     parts = [matrix.reshape(*matrix.shape[:-2], 4) for matrix in (stiffness, damping)]
     return np.concatenate(parts, axis=-1)
 
@@ -156,8 +156,6 @@ def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
 RPM = np.pi / 30
 # Number of speeds in the search for peaks and thresholds; range of thresholds relative to the highest speed.
 N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
-# From the bearing's frame (y, z; load along -z) to that of run-ups.
-ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class TabulatedCoefficients(Protocol):
@@ -306,11 +304,9 @@ class RunUpRotor:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
         if not isinstance(bearing, JournalBearing):
             points = [bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
-            turned = [
-                ALONG_LOAD @ np.stack(matrices) @ ALONG_LOAD.T
-                for matrices in zip(*((point.stiffness, point.damping) for point in points), strict=True)
-            ]
-            return turned[0], turned[1]
+            both = np.stack([[point.stiffness, point.damping] for point in points], axis=1)
+            stiffness, damping = TO_LOAD_FRAME @ both @ TO_LOAD_FRAME.T
+            return stiffness, damping
         film = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
         return film.stiffness * scale, film.damping * scale / speed[..., None, None]

@@ -58,7 +58,7 @@ def read_run(
 def run_as_measured(
     settings: RunSettings, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
 ) -> ReadRun:
-    """The run of an entry, a table or a recording, on whatever rotor."""
+    """The run of an entry, on whatever rotor."""
     return _record(settings, output, folder) if settings.recording else _tabulate(settings, probes)
 
 
@@ -216,9 +216,7 @@ def _of_method(
     return rule.outcome(*compare_number(rule, None if number is None else float(number), "1"))
 
 
-def _predictor(
-    rule: Rule, address: _Address, result: records.RunUpResult
-) -> records.RunUpMethod | records.MetamodelResult:
+def _predictor(rule: Rule, address: _Address, result: records.RunUpResult) -> records.Model:
     predictors = {predictor.name: predictor for predictor in result.predictors}
     if address.method not in predictors:
         hint = nearest(address.method, [*predictors, MEASURED])

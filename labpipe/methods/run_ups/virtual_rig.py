@@ -164,7 +164,6 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """Other grooves, and a viscosity that falls with the square of the speed."""
     film = virtual.nominal.place.film("a virtual run-up")
     clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]

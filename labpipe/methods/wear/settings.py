@@ -23,6 +23,7 @@ TERMS = ("full", "direct", "cross")
 OBJECTIVES = ("complex", "log")
 # Parameters that can be estimated together with the wear: name of the setting, unit.
 NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
+POSITIVE = ("viscosity", "clearance", "beta")
 DEPTH, ANGLE = "wear_depth", "wear_angle"
 # Range of a nuisance parameter about its prior mean, in prior standard deviations.
 REACH = 4.0
@@ -141,15 +142,14 @@ class WearSettings(Settings):
             hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
             raise SettingError("healthy", "nothing to tune", hint)
         for name, nuisance in self._given.items():
-            if name == "cavitation_pressure":
-                if nuisance.value > 0:
-                    raise SettingError(name, f"'{name}' is above the ambient pressure", "give zero or less")
-            elif not nuisance.value > 0:
+            if name in POSITIVE and not nuisance.value > 0:
                 raise SettingError(name, f"'{name}' must be positive")
+            if name not in POSITIVE and nuisance.value > 0:
+                raise SettingError(name, f"'{name}' is above the ambient pressure", "give zero or less")
         prior = self.nuisance_prior
         for name, mean, std in zip(prior.names, prior.mean, prior.std.tolist(), strict=True):
             # The search reaches as many standard errors to either side, and no further than to zero.
-            if name in ("viscosity", "clearance", "beta") and REACH * std >= mean:
+            if name in POSITIVE and REACH * std >= mean:
                 what = f"standard error of '{name}' not below {100 / REACH:g} %"
                 key = name if self.posterior is None else "prior"
                 raise SettingError(key, what, "give a smaller uncertainty")

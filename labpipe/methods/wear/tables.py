@@ -33,12 +33,6 @@ class VaryingSupport:
     stiffness_slopes: FloatArray
     damping_slopes: FloatArray
 
-    def __post_init__(self) -> None:
-        shape = self.stiffness_slopes.shape
-        if shape != self.damping_slopes.shape or shape[1:] != (2, 2):
-            what = f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter"
-            raise ConfigError(what)
-
 
 def response_with_slopes(
     rotor: ReducedRotor, bearings: Iterable[VaryingSupport], output: int, force: int

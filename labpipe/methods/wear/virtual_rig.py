@@ -122,13 +122,13 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
     for place in rig.bearings:
         if place.is_film:
             film = place.film("wear")
-            changes = {
-                "viscosity": film.viscosity * (1 + virtual.viscosity_error),
-                "clearance": film.clearance * (1 + virtual.clearance_error),
-            }
-            if virtual.cavitation_pressure is not None:
-                changes["cavitation_pressure"] = virtual.cavitation_pressure
-            rig = rig.with_bearings([place.name], **changes)
+            pressure = virtual.cavitation_pressure
+            rig = rig.with_bearings(
+                [place.name],
+                viscosity=film.viscosity * (1 + virtual.viscosity_error),
+                clearance=film.clearance * (1 + virtual.clearance_error),
+                cavitation_pressure=film.cavitation_pressure if pressure is None else pressure,
+            )
     return rig.with_bearings([worn_place(rig, virtual.bearing).name], wear_depth=depth, wear_angle=angle)
 
 
