@@ -384,7 +384,6 @@ def test_options_of_another_kind_of_signal_are_refused(tmp_path: Path, labpipe) 
         ("verify .", "--set", "rig=other.yaml", "a second run"),
         ("verify report.signed.pdf", "-c", "pipeline.yaml", "a folder or an archive"),
         ("sign report.pdf --key me.p12", "--token", "card", "a token"),
-        ("orders run.csv -o out", "--limit", "30 %", "a share of the gap"),
         ("orders run.csv -o out --speed 3000rpm", "--pulses", "4", "a tacho"),
     ],
 )

@@ -42,10 +42,10 @@ class BalanceSettings(Settings):
     title: str = setting("text", "title of the result", default="")
     _: KW_ONLY
     repeatability: float = quantity(
-        "scatter of a reading when nothing is changed, as a share of it (standard)", "1", 0.02
+        "scatter of a reading as a vector when nothing is changed, as a share of it (standard)", "1", 0.02
     )
     noise: str = setting(
-        "text", "scatter that does not depend on the reading, e.g. 0.2 um (standard)", default=""
+        "text", "scatter of each of its parts that does not depend on it, e.g. 0.2 um (standard)", default=""
     )
     mass: float | None = quantity("mass of the rotor, for a grade", "kg", None)
     speed: float | None = quantity("service speed, for a grade", "Hz", None)
@@ -101,7 +101,7 @@ class PlaneSettings(Settings):
 
 @dataclass(frozen=True)
 class BalanceFile:
-    """*planes* and *lines* (sensor, or sensor at a speed) by name; *unit* of readings; *prior* of a model."""
+    """*planes* and *lines* (sensors at a speed) by name; *unit* of readings; *prior* of a model."""
 
     path: Path
     settings: BalanceSettings
@@ -114,8 +114,8 @@ class BalanceFile:
 
 
 def model(path: Path, planes: Sequence[str], lines: Sequence[str]) -> tuple[Influence, tuple[str, ...]]:
-    """What a rotor's tests say of these *planes* and *lines* (all there are where none is named), and the
-    lines; ConfigError for a result without it, and for names that it does not have.
+    """What a rotor's tests say of these *planes* and *lines*, or all lines, and the lines; ConfigError for a
+    result without it, and for names that it does not have.
     """
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))["rotor_system"]["balance"]["influence"]
@@ -178,11 +178,7 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
         raise ConfigError(what, entries["grade"].place, "more sensors or speeds, or no grade")
     missing = complex(np.nan, np.nan)
     runs = tuple(
-        Run(
-            name,
-            np.array([w.get(plane, 0j) for plane in planes]),
-            np.array([z.get(line, missing) for line in lines]),
-        )
+        Run(name, np.array([w.get(n, 0j) for n in planes]), np.array([z.get(n, missing) for n in lines]))
         for name, (w, z) in named.items()
     )
     _check_noise(path, runs, lines, noise)
@@ -274,9 +270,8 @@ def _si_of(text: str) -> str:
 
 @dataclass(frozen=True)
 class Balanced:
-    """What follows: *knowledge* of the influence, *weights* (n_plane,) [kg m] and, of planes with a radius,
-    *masses* [kg] by angle [rad]; the *residual*; what is expected after each of *next_runs* [unit of the
-    readings].
+    """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
+    [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
     """
 
     file: BalanceFile
@@ -301,7 +296,7 @@ def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
 
 
 def balanced(file: BalanceFile) -> Balanced:
-    """Weights, what they leave, and what one more run would change; DataError for runs that do not do."""
+    """Weights, what they leave, what one more run would change; DataError for runs that do not do."""
     try:
         knowledge = influence(file.runs, file.noise, file.prior)
     except DataError as error:
@@ -310,11 +305,8 @@ def balanced(file: BalanceFile) -> Balanced:
     weights, masses = _chosen(file, knowledge)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))
-    units = trial * np.eye(len(file.planes), dtype=np.complex128)
-    candidates = {
-        f"a trial weight in plane {name}": unit for name, unit in zip(file.planes, units, strict=True)
-    }
-    candidates["the weights themselves"] = weights
+    names = [*(f"a trial weight in plane {name}" for name in file.planes), "the weights themselves"]
+    candidates = dict(zip(names, [*(trial * np.eye(len(file.planes), dtype=complex)), weights], strict=True))
     expected = next_runs(knowledge, file.noise, candidates)
     return Balanced(file, knowledge, weights, masses, residual_of(knowledge, weights, file.noise), expected)
 

@@ -41,7 +41,6 @@ def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ..
 
 
 def sentences(result: Balanced) -> Iterator[str]:
-    """The result in lines."""
     import numpy as np
 
     from labpipe.display import plain_text

@@ -1,9 +1,8 @@
 """Balancing by influence coefficients: vibration z = z_0 + sum_q alpha_q w_q of every reading.
 
-Noise leaves z_0 and alpha uncertain; the weights are those of the least expected square of the vibration that
-is left, which do not trust an influence that is hardly known; without noise they are -pinv(alpha) z_0
-(Goodman 1964; Darlow 1989). What a model of the rotor says of z_0 and alpha is a prior and runs are data: the
-model alone, runs alone and both are one estimate.
+The weights are those of the least expected square of what is left, which do not trust an influence that is
+hardly known; without noise -pinv(alpha) z_0 (Goodman 1964; Darlow 1989). What a model of the rotor says of
+z_0 and alpha is a prior and runs are data: the model alone, runs alone and both are one estimate.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ class Run:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard uncertainty of one component of a reading: *floor* [unit of the reading], and a *share* [1] of
-    its amplitude, of what repeats when nothing is changed.
+    """Standard uncertainties of a reading when nothing is changed: *floor* [unit of the reading] of each of
+    its two parts, *share* [1] of its amplitude of both together.
     """
 
     floor: float
@@ -53,10 +52,9 @@ class Noise:
 
 @dataclass(frozen=True)
 class Influence:
-    """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m], and the
-    *joint* covariance (n, n) of all their real parts and then all imaginary parts, row by row; *misfit*
-    chi-square of the readings, its *dof*; *modelled*: whether a model says what unbalance in the planes does.
-    narrow: the same without what doubt of the model has widened, for the lower ends of what is left.
+    """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m], *joint*
+    covariance (n, n) of all real, then all imaginary parts, row by row; *misfit* chi-square of the readings,
+    its *dof*; *modelled* by a rotor. narrow: without what doubt of the model has widened, for lower ends.
     """
 
     mean: ComplexArray
@@ -68,16 +66,14 @@ class Influence:
 
     @cached_property
     def covariance(self) -> ComplexArray:
-        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [products of the units of
-        the mean].
-        """
+        """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [units of the mean]."""
         parts, turn = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape), np.array([1, 1j])
         return np.asarray(np.einsum("p,pliqlj,q->lij", turn, parts, turn.conj()))
 
     @property
     def square(self) -> ComplexArray:
-        """Q (n_plane + 1, n_plane + 1) of the expected square (1, w)^H Q (1, w), in the unit of the readings,
-        of the vibration with weights w [kg m].
+        """Q (n_plane + 1, n_plane + 1) of the expected square (1, w)^H Q (1, w) [unit of the readings] with
+        weights w [kg m].
         """
         return square_of(self.mean[None]) + self.covariance.sum(axis=0).T
 
@@ -88,8 +84,8 @@ class Influence:
         return np.asarray(self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape))
 
     def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
-        """The mean moved by *gain* (n, 2 n_reading) [1, per kg m] times what readings *surprise* by,
-        (..., n_reading) [unit of the readings].
+        """With the mean moved by *gain* (n, 2 n_reading) [1, per kg m] times the *surprise* (..., n_reading)
+        [unit of the readings].
         """
         moved = np.concatenate([surprise.real, surprise.imag], axis=-1) @ gain.T
         real, imaginary = np.split(moved, 2, axis=-1)
@@ -125,10 +121,8 @@ class Influence:
 
 
 def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None) -> Influence:
-    """z_0 and alpha by all runs, and by what a model says beforehand (*prior*).
-
-    Without a model by weighted least squares line by line; DataError where the runs do not determine them
-    then: a plane without a trial weight, too few runs.
+    """z_0 and alpha by all runs on a *prior*, or by weighted least squares line by line; DataError where the
+    runs do not determine them then.
     """
     if prior is not None:
         return reduce(lambda knowledge, run: knowledge.after(run, noise), runs, prior)
@@ -168,15 +162,15 @@ def square_of(drawn: ComplexArray) -> ComplexArray:
 
 
 def best_weights(square: ComplexArray) -> ComplexArray:
-    """The weights (..., n_plane) [kg m] of the least expected *square* (..., n_plane + 1, n_plane + 1) of the
-    vibration that is left: w = -A^-1 b of its blocks. Equation (system-balance).
+    """w = -A^-1 b (..., n_plane) [kg m] of the blocks of a *square* (..., n_plane + 1, n_plane + 1), which
+    they make least. Equation (system-balance).
     """
     return np.asarray(-np.linalg.solve(square[..., 1:, 1:], square[..., 1:, :1])[..., 0])
 
 
 def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
-    """Root mean square over the last lines (...) [unit of the readings] of z_0 + alpha w, of drawn z_0 and
-    alpha (..., n_line, n_plane + 1) with *weights* w (n_plane,) [kg m].
+    """Root mean square over lines (...) [unit of the readings] of drawn z_0 + alpha w, (..., n_line, n_plane
+    + 1), with *weights* w (n_plane,) [kg m].
     """
     left = drawn @ np.concatenate([[1.0], weights])
     return np.asarray(np.sqrt(np.mean(np.abs(left) ** 2, axis=-1)))
@@ -184,9 +178,7 @@ def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Places:
-    """Where weights can be set in a plane: *angles* (n_place,) [rad] at *radius* [m], at most *largest* [kg]
-    in each.
-    """
+    """Of weights in a plane: *angles* (n_place,) [rad] at *radius* [m], at most *largest* [kg] in each."""
 
     angles: FloatArray
     radius: float
@@ -194,8 +186,8 @@ class Places:
 
 
 def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[FloatArray]:
-    """Masses [kg] in every place of every plane, (n_place,) each: the least expected square that masses from
-    zero to the largest can reach, by as little mass as that takes.
+    """Masses [kg] in every place of every plane, (n_place,) each: the least expected square that they can
+    reach, by as little mass as that takes.
     """
     square, linear = knowledge.square[1:, 1:], knowledge.square[1:, 0]
     directions = [place.radius * np.exp(1j * place.angles) for place in places]
@@ -230,9 +222,9 @@ def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[Float
 
 @dataclass(frozen=True)
 class Residual:
-    """What the weights are expected to leave: root mean square over the lines *rms* with its 95 % interval,
-    of what it was *before*; amplitudes of each line (n_line,) with theirs [unit of the readings]; *unbalance*
-    (n_plane,) [kg m] that is left, upper ends of 95 %.
+    """What the weights are expected to leave: *rms* over the lines with its 95 % interval, of what was
+    *before*; amplitudes (n_line,) with theirs [unit of the readings]; *unbalance* (n_plane,) [kg m], upper
+    ends of 95 %.
     """
 
     rms: float
@@ -264,15 +256,13 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Re
 
 
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
-    """pinv(alpha) z_0 of draws: what vibrates most alike, (n, n_plane) [kg m]."""
+    """pinv(alpha) z_0 of draws, (n, n_plane) [kg m]."""
     return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
 
 
 def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
-    """z_0 + alpha w of the *drawn* z_0 and alpha, (n, n_line) [unit of the readings].
-
-    What weights in these planes cannot change of the estimated vibration is noise as far as its size is that
-    of noise (empirical Bayes): unbalance in the planes themselves leaves nothing of that kind.
+    """z_0 + alpha w of the *drawn* z_0 and alpha, (n, n_line). What weights in these planes cannot change of
+    the estimate is noise as far as its size is that of noise (empirical Bayes).
     """
     middle = knowledge.mean @ whole
     errors = drawn @ whole - middle
@@ -291,10 +281,9 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
 
 
 def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
-    """Expected root mean square of what is left as a reading shows it [unit of the readings], if one more run
-    were made first with the weights (n_plane,) [kg m] of each candidate, and the weights chosen anew by it.
-
-    Over draws of the truth: its readings move the mean and narrow z_0 and alpha (preposterior analysis).
+    """Expected root mean square of what is left as a reading shows it [unit of the readings] if one more run
+    with the weights (n_plane,) [kg m] of each candidate came first: over draws of the truth, whose readings
+    move the mean and narrow z_0 and alpha (preposterior analysis).
     """
     n_line = knowledge.mean.shape[0]
     rng = np.random.default_rng(SEED + 2)

@@ -1,5 +1,4 @@
-"""Journal bearings with a finite-length oil film: static equilibrium and the eight linear
-coefficients.
+"""Journal bearings with a finite-length oil film: equilibrium and the eight linear coefficients.
 
 Axes: y horizontal, z up, theta from +y to +z, spin from y to z, the bottom at 270 deg. k_yz is force in y per
 displacement in z: K = -dF/dx and C = -dF/dx', F the force of the film on the journal.
@@ -26,8 +25,7 @@ from labpipe.methods.journal_bearing.film import (
 # Largest change of displacement (over clearance), or of pressure (over its maximum), in the last step.
 TOLERANCE = 1e-7
 ROUGH_TOLERANCE = 1e-3
-# The same for the change on half the cells, from which a neighbour starts, and the fewest cells of a film
-# that is started so.
+# The same on half the cells, from which a neighbour starts, and the fewest cells of a film that does so.
 START_TOLERANCE = 1e-4
 MANY_CELLS = 480 * 30
 MOST_STEPS = 40
@@ -45,8 +43,8 @@ CHECK_LOAD = "the load may be too high for the film; check load, viscosity, spee
 @dataclass(frozen=True)
 class FilmState:
     """State of the film, dimensionless [-]: displacement (2,), pressure (n_theta, n_half), force on the
-    journal (2,), Newton steps. stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2), from the factors of
-    the last step. coarse: roughly, the state of the same film on half the cells each way.
+    journal (2,), Newton steps; stiffness = -dF/de and damping = -dF/d(e'/Omega), (2, 2). coarse: roughly,
+    that on half the cells each way.
     """
 
     displacement: FloatArray
@@ -58,9 +56,7 @@ class FilmState:
     coarse: FilmState | None = None
 
     def moved(self, first: FilmState, second: FilmState) -> FilmState:
-        """This state with displacement and pressure changed as from *first* to *second*: a start value, no
-        equilibrium.
-        """
+        """A start value: this state changed as from *first* to *second*."""
         return replace(
             self,
             displacement=self.displacement + second.displacement - first.displacement,
@@ -72,36 +68,34 @@ class FilmState:
 def film_equilibrium(
     film: Film, load: FloatArray, near: FilmState | None = None, tolerance: float = TOLERANCE
 ) -> FilmState:
-    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L; *near*: state of a similar film on the
-    same mesh. *tolerance*: largest change of the displacement over clearance [-] in the last step. Without
-    *near*, or where Newton's method fails from it, coarser meshes give the start value. FitError when there
-    is no equilibrium. Equation (jour-equilibrium).
+    """Equilibrium with a *load* (2,) [-] over 6 mu Omega (R/c)^2 R L, from *near*, a similar film on the same
+    mesh, else from coarser meshes; *tolerance*: largest change of displacement over clearance [-] in the last
+    step. FitError when there is none. Equation (jour-equilibrium).
     """
     if near is not None:
         try:
-            start = _start_near(film, load, near)
-            return replace(
-                _balance(film, load, start.displacement, start.pressure, tolerance), coarse=start.coarse
-            )
+            return _balance(film, load, *_start_near(film, load, near), tolerance)
         except FitError:
             pass
-    displacement, pressure, coarse = _first_guess(film, load)
-    return replace(_balance(film, load, displacement, pressure, tolerance), coarse=coarse)
+    return _balance(film, load, *_first_guess(film, load), tolerance)
 
 
-def _start_near(film: Film, load: FloatArray, near: FilmState) -> FilmState:
+# Displacement, pressure, and the state on half the cells that gave them.
+Start = tuple[FloatArray, FloatArray, FilmState | None]
+
+
+def _start_near(film: Film, load: FloatArray, near: FilmState) -> Start:
     coarse, before = film.coarser(), near.coarse
     many = film.mesh.around * film.mesh.across >= MANY_CELLS
     if not many or coarse is None or before is None or before.pressure.shape != _ambient(coarse).shape:
-        return replace(near, coarse=None)
+        return near.displacement, near.pressure, None
     state = film_equilibrium(coarse, load, before, START_TOLERANCE)
     around, across = interpolation(coarse.mesh, film.mesh)
     pressure = near.pressure + around @ (state.pressure - before.pressure) @ across
-    displacement = near.displacement + state.displacement - before.displacement
-    return replace(near, displacement=displacement, pressure=pressure, coarse=state)
+    return near.displacement + state.displacement - before.displacement, pressure, state
 
 
-def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, FilmState | None]:
+def _first_guess(film: Film, load: FloatArray) -> Start:
     coarse = film.coarser()
     if coarse is None:
         return FIRST_ECCENTRICITY * load / np.hypot(*load), _ambient(film), None
@@ -112,13 +106,12 @@ def _first_guess(film: Film, load: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 def _rough_state(film: Film, load: FloatArray, halvings: int) -> FilmState:
     try:
-        displacement, pressure, coarse = _first_guess(film, load)
-        return replace(_balance(film, load, displacement, pressure, ROUGH_TOLERANCE), coarse=coarse)
+        return _balance(film, load, *_first_guess(film, load), ROUGH_TOLERANCE)
     except FitError:
         if halvings == 0:
             raise
     lighter = _rough_state(film, load / 2, halvings - 1)
-    return _balance(film, load, lighter.displacement, lighter.pressure, ROUGH_TOLERANCE)
+    return _balance(film, load, lighter.displacement, lighter.pressure, None, ROUGH_TOLERANCE)
 
 
 def _ambient(film: Film) -> FloatArray:
@@ -126,23 +119,24 @@ def _ambient(film: Film) -> FloatArray:
 
 
 def _balance(
-    film: Film, load: FloatArray, displacement: FloatArray, pressure: FloatArray, tolerance: float
+    film: Film,
+    load: FloatArray,
+    displacement: FloatArray,
+    pressure: FloatArray,
+    coarse: FilmState | None,
+    tolerance: float,
 ) -> FilmState:
     still = np.zeros(2)
     room, squeeze, weight = band_room(film.mesh), _squeeze(film), film.mesh.arc * film.mesh.strip / 2
     for step in range(1, MOST_STEPS + 1):
         equations = film_equations(film, displacement, still, pressure)
         factors = factorise(equations, film.grid.curvature, room)
-        # The weights of the force are those of the squeeze term, and A is symmetric: W A^-1 b = (A^-1 W)^T b,
-        # for every b.
+        # The force has the weights of the squeeze term, and A is symmetric: W A^-1 b = (A^-1 W)^T b.
         squeezed = factors.solve(squeeze)
         by_force = weight * squeezed
         stiffness = np.einsum("aij,bij->ab", by_force, equations.by_displacement)
-        missing = (
-            load
-            + film.force_weights @ pressure.sum(axis=1)
-            - np.einsum("aij,ij->a", by_force, equations.residual)
-        )
+        missing = load + film.force_weights @ pressure.sum(axis=1)
+        missing -= np.einsum("aij,ij->a", by_force, equations.residual)
         change = np.linalg.solve(stiffness, missing)
         _, face = film.thickness(displacement)
         if np.min(face) < THINNEST:
@@ -150,16 +144,13 @@ def _balance(
         closing = float(np.max(-(change @ film.grid.at_face) / face))
         part = min(1.0, LARGEST_CLOSING / closing) if closing > 0 else 1.0
         displacement = displacement + part * change
-        side = (
-            equations.residual
-            + change[0] * equations.by_displacement[0]
-            + change[1] * equations.by_displacement[1]
-        )
+        y, z = equations.by_displacement
+        side = equations.residual + change[0] * y + change[1] * z
         pressure = pressure - part * factors.solve(side[None])[0]
         if np.max(np.abs(change)) < tolerance:
             force = film.force_weights @ pressure.sum(axis=1)
             damping = film.force_weights @ squeezed.sum(axis=2).T
-            return FilmState(displacement, pressure, force, stiffness, damping, step)
+            return FilmState(displacement, pressure, force, stiffness, damping, step, coarse)
     raise FitError(NO_EQUILIBRIUM, hint=CHECK_LOAD)
 
 
@@ -178,9 +169,8 @@ class JournalBearing:
     """A plain journal bearing; lengths in [m], *clearance* radial, viscosity [Pa s].
 
     wear_depth [m]: largest wear; wear_angle [rad]: its place from the bottom, positive with the spin.
-    cavitation_pressure [Pa] relative to the ambient pressure at both ends, zero or negative. groove_width
-    [rad]: of each of two axial grooves at the horizontal split, over the whole length and at ambient
-    pressure; zero for none. ConfigError for impossible values.
+    cavitation_pressure [Pa] against ambient, zero or less. groove_width [rad]: of each of two axial grooves
+    at the horizontal split, at ambient pressure. ConfigError for impossible values.
     """
 
     diameter: float
@@ -239,11 +229,8 @@ class JournalBearing:
 
 @dataclass(frozen=True)
 class JournalEquilibrium:
-    """Equilibrium of a journal on its oil film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s].
-
-    stiffness [N/m] and damping [N s/m] (2, 2) in the order yy yz; zy zz. *state* holds the dimensionless
-    film, start value of a neighbouring equilibrium. error: estimated mesh error of the coefficients relative
-    to the largest; None where it was not estimated.
+    """Equilibrium of a journal on its oil film: *load* (2,) [N] on the journal in y and z, *speed* [rad/s],
+    dimensionless *state*. error: estimated mesh error of the coefficients relative to the largest, if it was.
     """
 
     bearing: JournalBearing
@@ -265,11 +252,8 @@ class JournalEquilibrium:
 
     @property
     def attitude(self) -> float:
-        """Angle from the load to the displacement of the journal, positive with the spin [rad]. Equation
-        (jour-attitude).
-        """
-        turned = complex(*self.state.displacement) * complex(*self.load).conjugate()
-        return float(np.angle(turned))
+        """Angle from the load to the displacement, positive with the spin [rad]. Equation (jour-attitude)."""
+        return float(np.angle(complex(*self.state.displacement) * complex(*self.load).conjugate()))
 
     @property
     def sommerfeld(self) -> float:
@@ -288,16 +272,12 @@ class JournalEquilibrium:
         return self.state.damping * scale
 
     def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
-        """A start value beside this equilibrium: its state moved as that of *second* differs from that of
-        *first*, on the same mesh.
-        """
+        """A start value: its state moved as that of *second* differs from that of *first*, of one mesh."""
         return replace(self, state=self.state.moved(first.state, second.state))
 
     @property
     def coarser(self) -> JournalEquilibrium | None:
-        """Roughly the same equilibrium on half the cells each way, a start value. None where it was not
-        needed.
-        """
+        """Roughly the same on half the cells each way, a start value; None where it was not needed."""
         mesh = self.mesh.halved()
         if self.state.coarse is None or mesh is None:
             return None
@@ -334,11 +314,8 @@ def journal_equilibrium(
     near: JournalEquilibrium | None = None,
     tolerance: float = TOLERANCE,
 ) -> JournalEquilibrium:
-    """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s].
-
-    *near*: an equilibrium of a similar bearing on the same mesh as start value. *tolerance*: largest change
-    of the displacement over clearance [-] in Newton's last step. ConfigError for a load of zero, FitError
-    when there is no equilibrium.
+    """Static equilibrium and coefficients under a *load* (2,) [N] in y and z, at *speed* [rad/s]; *near* and
+    *tolerance* as in `film_equilibrium`. ConfigError for a load of zero, FitError without an equilibrium.
     """
     if not 0 < np.hypot(*load) < np.inf:
         raise ConfigError(NO_LOAD, hint="give the static load in newtons")
@@ -355,10 +332,9 @@ def converged_equilibrium(
     tolerance: float = 0.01,
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> JournalEquilibrium:
-    """The equilibrium on the coarsest mesh, starting from *mesh* and doubling, with a coefficient error below
-    *tolerance*. The error, relative to the largest coefficient, is estimated as a third of the change from
-    half the cells each way (second order). FitError when the finest mesh is not sufficient, ConfigError for a
-    first mesh that cannot be halved. Equation (jour-mesh).
+    """The equilibrium on the coarsest mesh, from *mesh* on and doubling, with coefficient errors below
+    *tolerance* of the largest: a third of the change from half the cells each way (second order). FitError
+    where the finest mesh does not do, ConfigError where the first cannot be halved. Equation (jour-mesh).
     """
     coarse = journal_equilibrium(bearing, load, speed, mesh.half())
     while mesh.around <= MOST_CELLS_AROUND:

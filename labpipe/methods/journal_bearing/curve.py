@@ -2,12 +2,10 @@
 
 At a given L / D and groove, K c / W, C c Omega / W, eccentricity and attitude depend on S = mu N L D / W (R /
 c)^2 only; extrapolated to cells of no size (Richardson): (4 fine - coarse) / 3 of a mesh and of half its
-cells each way. x points along the static load and y a quarter turn further with the spin: k_xy is force in x
-per displacement in y.
+cells each way. x points along the static load and y a quarter turn further with the spin.
 
-With wear scaled coefficients depend on sqrt(depth / c), the wear angle, ln S and p_cav L D / W; the table is
-a tensor product of cubic splines over these. The root of the depth resolves shallow wear; the splines are
-even in it, so that at zero depth the angle has no influence and the derivative by depth vanishes.
+With wear they depend on sqrt(depth / c), the wear angle, ln S and p_cav L D / W: a tensor product of cubic
+splines, even in the root, so that at zero depth angle and derivative by depth vanish.
 """
 
 from __future__ import annotations
@@ -31,9 +29,8 @@ from labpipe.methods.journal_bearing.bearing import (
 )
 from labpipe.methods.journal_bearing.film import FilmMesh
 
-# Cells of 1.25 deg: an edge of a 20 deg groove lies between two cells, also of half as many. Extrapolated
-# from half of them, thresholds of the shipped rotor lie within .005 % of those of four times the cells; not
-# extrapolated, .03 to .06 % above.
+# Cells of 1.25 deg: an edge of a 20 deg groove lies between two cells, also of half as many. Thresholds of
+# the shipped rotor lie within .005 % of those of four times the cells.
 CURVE_MESH = FilmMesh(288, 40)
 LOWEST_SOMMERFELD = 0.008
 HIGHEST_SOMMERFELD = 30.0
@@ -54,8 +51,7 @@ class ScaledCoefficients:
 
 @dataclass(frozen=True)
 class JournalCurve:
-    """Coefficients over ln S at fixed length over diameter and *groove_width* [rad]; made by `journal_curve`.
-
+    """Coefficients over ln S at one length over diameter and *groove_width* [rad]; made by `journal_curve`.
     spline: K c / W (4), C c Omega / W (4), eccentricity ratio, attitude [rad]; slope: its derivative.
     """
 
@@ -75,8 +71,8 @@ class JournalCurve:
         )
 
     def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape as *sommerfeld*.
-        FitError outside the table.
+        """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape; FitError outside
+        the table.
         """
         values = self.spline(self._place(sommerfeld))
         return values[..., 8], values[..., 9]
@@ -84,17 +80,15 @@ class JournalCurve:
     def _place(self, sommerfeld: FloatArray) -> FloatArray:
         number = np.asarray(sommerfeld, np.float64)
         if not np.all((number >= LOWEST_SOMMERFELD) & (number <= HIGHEST_SOMMERFELD)):
-            what = f"a Sommerfeld number of {np.max(number):.3g} (lowest {np.min(number):.3g}) lies outside"
-            ends = f"from {LOWEST_SOMMERFELD:g} to {HIGHEST_SOMMERFELD:g}"
-            hint = f"{ends}; check viscosity, clearance and load"
-            raise FitError(f"{what} the bearing's table", hint=hint)
+            ends = f"{np.max(number):.3g} (lowest {np.min(number):.3g})"
+            table = f"from {LOWEST_SOMMERFELD:g} to {HIGHEST_SOMMERFELD:g}"
+            what = f"a Sommerfeld number of {ends} lies outside the bearing's table"
+            raise FitError(what, hint=f"{table}; check viscosity, clearance and load")
         return np.log(number)
 
 
 def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArray) -> FloatArray:
-    """S = mu N L D / W (R / c)^2 [-] at loads [N] and speeds [rad/s] of the same shape, N in revolutions per
-    second.
-    """
+    """S = mu N L D / W (R / c)^2 [-], N in [Hz], at loads [N] and speeds [rad/s] of the same shape."""
     return np.asarray(bearing.force_scale(1.0) / (6 * np.pi) * np.asarray(speed) / np.asarray(load))
 
 
@@ -102,8 +96,8 @@ def sommerfeld_number(bearing: JournalBearing, load: FloatArray, speed: FloatArr
 def journal_curve(
     length_over_diameter: float, groove_width: float = 0.0, mesh: FilmMesh = CURVE_MESH, nodes: int = NODES
 ) -> JournalCurve:
-    """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad]; cached, since it takes a
-    second. *mesh*: the finer of the two; ConfigError where it cannot be halved. Equation (jour-richardson).
+    """The curve of a bearing by its *length_over_diameter* and *groove_width* [rad], made in a second;
+    *mesh*: the finer of the two, ConfigError where it cannot be halved. Equation (jour-richardson).
     """
     half = mesh.half()
     bearing = JournalBearing(
@@ -116,9 +110,7 @@ def journal_curve(
 
 
 def curve_of(bearing: JournalBearing) -> JournalCurve:
-    """The curve of a *bearing*. ConfigError where it is worn or tears below ambient pressure: coefficients
-    then depend on more than the Sommerfeld number.
-    """
+    """The curve of a *bearing*; ConfigError for wear or a cavitation pressure, which it does not hold."""
     if bearing.wear_depth or bearing.cavitation_pressure:
         what = "a worn oil film, or one that tears below ambient, has no curve over its Sommerfeld number"
         raise ConfigError(what, hint="leave 'wear' and 'cavitation_pressure' out")
@@ -139,18 +131,16 @@ def _rows(bearing: JournalBearing, places: FloatArray, mesh: FilmMesh) -> FloatA
 
 AXES = ("wear depth", "wear angle", "Sommerfeld number", "cavitation pressure")
 PARAMETERS = ("wear_depth", "wear_angle", "viscosity", "clearance", "cavitation_pressure")
-# Degree of the splines, and fewest nodes along an axis; three allow a parabola.
-CUBIC, FEWEST_NODES = 3, 3
+CUBIC = 3
 # Root of depth over clearance below which the limit of the derivative at zero depth applies.
 LEAST_ROOT = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class TableRange:
-    """Ranges and numbers of nodes: depth from zero to *depth* [m] (zero: no wear, no axes of depth and
-    angle), angle +-*angle* [rad], viscosity by a factor up and down, clearance likewise, cavitation pressures
-    down to *cavitation_pressure* [Pa] (zero: no axis). A factor of 1 on both: no Sommerfeld axis. *tolerance*
-    [-] of the equilibria, as in `journal_equilibrium`.
+    """Ranges and numbers of nodes: depth up to *depth* [m] (zero: no axes of wear), angle +-*angle* [rad],
+    viscosity and clearance by factors up and down (1 and 1: no Sommerfeld axis), cavitation pressures down to
+    *cavitation_pressure* [Pa] (zero: no axis); *tolerance* [-] of the equilibria.
     """
 
     depth: float = 50e-6
@@ -164,15 +154,6 @@ class TableRange:
     n_cavitation: int = 5
     tolerance: float = TOLERANCE
 
-    def __post_init__(self) -> None:
-        if not (self.depth >= 0 and 0 < self.angle < np.pi / 2):
-            what = "a table of wear needs a largest depth, zero or more, and an angle below 90 deg"
-            raise ConfigError(what)
-        if min(self.viscosity_factor, self.clearance_factor) < 1 or self.cavitation_pressure > 0:
-            raise ConfigError("a table's factors are 1 or more and its cavitation pressure zero or less")
-        if min(self.n_depth, self.n_angle, self.n_sommerfeld, self.n_cavitation) < FEWEST_NODES:
-            raise ConfigError(f"splines need at least {FEWEST_NODES} nodes along every axis of the table")
-
     @property
     def sommerfeld_factor(self) -> float:
         """Factor of S = mu / c^2 from those of viscosity and clearance."""
@@ -181,9 +162,7 @@ class TableRange:
 
 @dataclass(frozen=True)
 class TableCoefficients:
-    """stiffness [N/m], damping [N s/m], (2, 2). Their derivatives by PARAMETERS in SI units, (5, 2, 2)
-    each.
-    """
+    """stiffness [N/m], damping [N s/m], (2, 2); derivatives (5, 2, 2) by PARAMETERS [SI units]."""
 
     stiffness: FloatArray
     damping: FloatArray
@@ -193,10 +172,8 @@ class TableCoefficients:
 
 @dataclass(frozen=True)
 class JournalTable:
-    """Scaled coefficients K c / W and C c Omega / W [-] over the active axes; made by `journal_table`.
-
-    active: indices of the AXES with more than one node; low, high (4,): ranges, equal where there is one
-    node; spline: K, then C.
+    """Scaled coefficients K c / W and C c Omega / W [-], made by `journal_table`; active: indices of the AXES
+    with more than one node; low, high (4,): their ranges; spline: K, then C.
     """
 
     bearing: JournalBearing
@@ -209,9 +186,8 @@ class JournalTable:
     def coefficients(
         self, bearing: JournalBearing, speed: float, size: float | None = None
     ) -> TableCoefficients:
-        """Coefficients of a bearing whose wear, viscosity, clearance or cavitation pressure differ from the
-        table's. *size* [N] of the load, in the table's direction, by default the table's; *speed* [rad/s].
-        FitError outside the table. Equation (jour-table).
+        """Coefficients of a bearing that differs from the table's by PARAMETERS, at *speed* [rad/s] and a
+        load of *size* [N], by default the table's. FitError outside the table. Equation (jour-table).
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)
@@ -258,9 +234,7 @@ def journal_table(
     ranges: TableRange | None = None,
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> JournalTable:
-    """The table of a *bearing* under a *load* (2,) [N] at *speed* [rad/s]; its wear and cavitation pressure
-    are not used.
-    """
+    """The table of a *bearing*, whatever its wear, under a *load* (2,) [N] at *speed* [rad/s]."""
     ranges = ranges or TableRange()
     weight = float(np.hypot(*load))
     mean_pressure = weight / (bearing.length * bearing.diameter)
@@ -280,7 +254,7 @@ def journal_table(
 
 @dataclass(frozen=True)
 class _Sheet:
-    """A table at one *root* of depth over clearance, independent of other sheets."""
+    """A table at one *root* of depth over clearance."""
 
     bearing: JournalBearing
     load: tuple[float, float]
@@ -294,12 +268,10 @@ class _Sheet:
         self, angle: float, log_sommerfeld: float, cavitation: float, near: JournalEquilibrium | None
     ) -> JournalEquilibrium:
         bearing, weight = self.bearing, float(np.hypot(*self.load))
-        viscosity = (
-            bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight / bearing.force_scale(self.speed)
-        )
+        force = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight
         worn = dataclasses.replace(
             bearing,
-            viscosity=float(viscosity),
+            viscosity=float(force / bearing.force_scale(self.speed)),
             wear_depth=float(self.root**2 * bearing.clearance),
             wear_angle=float(angle),
             cavitation_pressure=float(cavitation * weight / (bearing.length * bearing.diameter)),

@@ -19,9 +19,7 @@ BOTTOM = 270.0
 
 
 def film_canvas(film: PressureField, size: tuple[float, float]) -> Canvas:
-    """Pressure over angle and width as filled contours. Below, pressure at mid width and the film's
-    thickness. *size* [in].
-    """
+    """Pressure over angle and width; below, pressure at mid width and the film's thickness. *size* [in]."""
     order = np.argsort(np.mod(film.theta, 2 * np.pi))
     angle, pressure = np.degrees(np.mod(film.theta[order], 2 * np.pi)), BAR * film.pressure[order]
     with style(grid=False):
@@ -54,9 +52,7 @@ def _mid_width(
 
 
 def contour_levels(pressure: FloatArray) -> FloatArray:
-    """Rising levels (n_level,) [unit of the pressure] at round ones around all of *pressure* (n_theta,
-    n_axial) [bar], which leave no cell blank.
-    """
+    """Rising round levels (n_level,) around *pressure* (n_theta, n_axial) [unit of the pressure]."""
     margin = TORN * (float(np.ptp(pressure)) or 1.0)
     low, high = float(pressure.min()) + margin, float(pressure.max()) + margin
     levels = np.asarray(MaxNLocator(N_CONTOUR).tick_values(low, high))

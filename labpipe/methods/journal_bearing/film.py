@@ -33,10 +33,9 @@ from labpipe.errors import ConfigError, FitError, SettingError
 
 
 def mean_worn_depth(theta: FloatArray, depth: float, angle: float, width: float) -> FloatArray:
-    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance, averaged over
-    an arc of *width* [rad] about every *theta* [rad], same shape [-]; exact. *depth*: largest wear over
-    radial clearance [-]; *angle* of the deepest point from the bottom, positive with the spin [rad]. Equation
-    (jour-wear-mean).
+    """Added film thickness max(0, depth - 1 - cos(theta - pi/2 - angle)) over radial clearance, exactly
+    averaged over *width* [rad] about every *theta* [rad], same shape [-]; largest wear *depth* [-] at *angle*
+    [rad] from the bottom, positive with the spin. Equation (jour-wear-mean).
     """
     if depth <= 0:
         return np.zeros_like(theta)
@@ -54,9 +53,7 @@ FEWEST_ACROSS = 4
 
 @dataclass(frozen=True)
 class FilmMesh:
-    """Cells *around* the journal by cells *across* the full width. Both even, because half the width is
-    solved.
-    """
+    """Cells *around* the journal by cells *across* the full width, of which half is solved: both even."""
 
     around: int = 120
     across: int = 30
@@ -90,12 +87,10 @@ class FilmMesh:
 
 @dataclass(frozen=True)
 class FilmGrid:
-    """Geometry of a mesh with n_theta cells around and n_half across half the width.
-
-    centre, face (n_theta,): angles of cells and of the faces after them [rad]; at_centre, at_face, wedge (2,
-    n_theta): derivative of film thickness over clearance, and of its slope, by the journal's displacement
-    over clearance in y and z [-]; curvature (n_half, n_half): minus the second difference across the width,
-    symmetric at mid width, zero pressure at the edge.
+    """Geometry of a mesh with n_theta cells around and n_half across half the width: centre, face (n_theta,),
+    angles of cells and of the faces after them [rad]; at_centre, at_face, wedge (2, n_theta), derivatives of
+    film thickness, and of its slope, by the journal's displacement in y and z [-]; curvature (n_half,
+    n_half), minus the second difference across, symmetric at mid width, zero pressure at the edge.
     """
 
     centre: FloatArray
@@ -124,9 +119,7 @@ def film_grid(mesh: FilmMesh) -> FilmGrid:
 
 @lru_cache(maxsize=16)
 def interpolation(coarse: FilmMesh, fine: FilmMesh) -> tuple[FloatArray, FloatArray]:
-    """Matrices a (n_fine, n_coarse), b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b. Linear,
-    periodic around the journal.
-    """
+    """a (n_fine, n_coarse) and b (n_coarse, n_fine) [1] of fine pressures = a @ coarse @ b; linear."""
     position = (np.arange(fine.around) + 0.5) * coarse.around / fine.around - 0.5
     before = np.floor(position).astype(int)
     part = position - before
@@ -143,9 +136,8 @@ def _strips(mesh: FilmMesh) -> FloatArray:
     return (np.arange(mesh.across // 2) + 0.5) * mesh.strip
 
 
-# The front: compliance in units of a cell's own, and the part of the wedge over which the maximum is rounded.
-# Together they make coefficients smooth to .1 % over the angle of wear at 120 x 30 cells and move them by
-# less than .6 %.
+# The front: compliance in units of a cell's own, and the part of the wedge over which the maximum is rounded:
+# coefficients smooth to .1 % over the angle of wear at 120 x 30 cells, and moved by less than .6 %.
 COMPLIANCE = 2.0
 ROUNDING = 0.8
 # Wedge below which a film counts as converging, relative to that of the journal's displacement.
@@ -154,15 +146,14 @@ LEAST_WEDGE = 0.02
 LEAST_SLOPE = 1e-9
 # Diagonal that fixes a cell in a groove at ambient pressure.
 GROOVE_DIAGONAL = 1e12
-# Shortest distance from a cell's centre to the edge of a groove, in cells: keeps the flow into the groove
-# finite.
+# Shortest distance from a cell's centre to a groove, in cells: keeps the flow into it finite.
 LEAST_DISTANCE = 0.05
 
 
 @dataclass(frozen=True)
 class Film:
     """A film over a bore: *slenderness* D / L, wear *depth* over clearance at *angle* [rad] from the bottom,
-    cavitation pressure (<= 0), *groove* [rad]: width of each of two axial grooves at the split, or zero.
+    cavitation pressure (<= 0), *groove* [rad]: width of two axial grooves at the split.
     """
 
     mesh: FilmMesh
@@ -193,28 +184,24 @@ class Film:
         return None if mesh is None else replace(self, mesh=mesh)
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Film thickness h [-] at cell centres and at faces, (n_theta,); *displacement* (2,) [-] of the
-        journal in y and z. Equation (jour-thickness).
+        """h [-] at cell centres and at faces, (n_theta,), with the journal displaced by (2,) [-] in y and z.
+        Equation (jour-thickness).
         """
-        return (
-            1 + self.worn[0] + displacement @ self.grid.at_centre,
-            1 + self.worn[1] + displacement @ self.grid.at_face,
-        )
+        centre, face = self.worn
+        at_centre, at_face = self.grid.at_centre, self.grid.at_face
+        return 1 + centre + displacement @ at_centre, 1 + face + displacement @ at_face
 
     @property
     def force_weights(self) -> FloatArray:
-        """Weights (2, n_theta) [-]: force on the journal = weights @ axial sums of pressure, over 6 mu Omega
-        (R/c)^2 R L. Equation (jour-force).
-        """
+        """(2, n_theta) [-]: force on the journal = weights @ sums of pressure. Equation (jour-force)."""
         return self.grid.at_centre * (self.mesh.arc * self.mesh.strip)
 
 
 @dataclass(frozen=True)
 class FilmEquations:
-    """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de - by_velocity
-    @ dv. around, across (n_theta,): conductances of faces and in axial direction; diagonal, residual
-    (n_theta, n_half); by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the
-    cavitation pressure.
+    """One Newton step, dimensionless [-]: (A + diagonal) dp = -residual - by_displacement @ de. around,
+    across (n_theta,): conductances of faces and in axial direction; diagonal, residual (n_theta, n_half);
+    by_displacement (2, n_theta, n_half); cavitated (n_theta, n_half): cells at the cavitation pressure.
     """
 
     around: FloatArray
@@ -228,8 +215,8 @@ class FilmEquations:
 def film_equations(
     film: Film, displacement: FloatArray, velocity: FloatArray, pressure: FloatArray
 ) -> FilmEquations:
-    """The equations linearised at a pressure field (n_theta, n_half), a displacement (2,) and a velocity (2,)
-    over c Omega [-]. Equation (jour-reynolds).
+    """The equations linearised at pressures (n_theta, n_half), a displacement (2,) and a velocity (2,) over c
+    Omega [-]. Equation (jour-reynolds).
     """
     grid, arc = film.grid, film.mesh.arc
     centre, face = film.thickness(displacement)
@@ -276,9 +263,8 @@ def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, Floa
 
 
 def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """max(0, x) [-], exact outside +-*width* and twice continuously differentiable; its derivatives by x (>=
-    LEAST_SLOPE) and by width. x (n_theta, n_half), *width* (n_theta, 1) [-]. With t = (x + width) / (2
-    width): 2 width (t^3 - t^4 / 2), slope t^2 (3 - 2 t). Equation (jour-rounded).
+    """max(0, x) [-], exact outside +-*width* and twice continuously differentiable, and its derivatives by x
+    (>= LEAST_SLOPE) and by width; x (n_theta, n_half), *width* (n_theta, 1) [-]. Equation (jour-rounded).
     """
     t = np.clip((x + width) / (2 * width), 0, 1)
     area, slope = t**3 * (1 - t / 2), t * t * (3 - 2 * t)
@@ -296,8 +282,8 @@ def _out(flow: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class FactoredFilm:
-    """Factored equations of a film, dimensionless [-]: columns (n_column,) solved, in order, and banded
-    factors (n_band, n_cell). diagonal (n_theta, n_half): of all cells.
+    """Factored equations of a film [-]: columns (n_column,) solved, in order, banded factors (n_band,
+    n_cell), diagonal (n_theta, n_half) of all cells.
     """
 
     columns: IntArray
@@ -305,9 +291,7 @@ class FactoredFilm:
     diagonal: FloatArray
 
     def solve(self, sides: FloatArray) -> FloatArray:
-        """(A + diagonal)^-1 times right-hand sides (n_side, n_theta, n_half) [-], same shape. Only the
-        diagonal in cavitated columns.
-        """
+        """(A + diagonal)^-1 times *sides* (n_side, n_theta, n_half) [-]; diagonal where cavitated."""
         # Imported here: settings of a rotor know bearings, and are read where nothing is solved.
         from scipy.linalg import lapack
 
@@ -326,8 +310,8 @@ def band_room(mesh: FilmMesh) -> FloatArray:
 
 
 def factorise(equations: FilmEquations, curvature: FloatArray, room: FloatArray) -> FactoredFilm:
-    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid. FitError when it is not
-    positive definite. *room* (n_room,) [-] of `band_room` may hold the factors until it is used again.
+    """Cholesky factors of A + diagonal; *curvature* (n_half, n_half) [-] of the grid, *room* (n_room,) [-] of
+    `band_room`, which holds them until it is used again. FitError when it is not positive definite.
     """
     cavitated = np.all(equations.cavitated, axis=1)
     columns = _open_ring(cavitated)

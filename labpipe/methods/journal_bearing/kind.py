@@ -110,7 +110,7 @@ class JournalFile(JournalSettings):
 
 
 def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoefficients]:
-    """The coefficients of all settings, in order, each on the coarsest mesh of sufficient accuracy."""
+    """Of all settings, in order, each on the coarsest mesh that is accurate enough."""
     return [_coefficients(entry) for entry in settings]
 
 

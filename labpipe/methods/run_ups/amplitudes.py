@@ -1,16 +1,9 @@
-"""Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid, by
-pattern search.
+"""Eight coefficients per load and speed from the planes' amplitudes alone: the way of Falah and Khorshid.
 
-Generalised pattern search (Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the
-objective is evaluated at all 2 n neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the
-mesh m doubles, otherwise m halves.
-
-Per point the factors f on the coefficients of the rotor file's bearing, 1 - bound <= f <= 1 + bound, minimise
-
-    F = sum over planes (a_measured - a_computed)^2,   a: largest displacement of the orbit,
-
-(their equation 12) by a pattern search. Two amplitudes see two combinations of the eight: the fit looks
-perfect wherever it starts, and the coefficients that it returns are those next to its start.
+Per point factors on the coefficients of the rotor file's bearing minimise F = sum over planes (a_measured -
+a_computed)^2, a the largest displacement of the orbit (their equation 12), by a generalised pattern search
+(Torczon 1997; Lewis and Torczon 1999 for bounds): from the best point x the objective is evaluated at all 2 n
+neighbours x +- m e_i; the lowest one, if lower than at x, becomes x and the mesh m doubles, else m halves.
 """
 
 from __future__ import annotations
@@ -30,16 +23,13 @@ from labpipe.methods.run_ups import rotor
 from labpipe.methods.run_ups.misfit import ExcitedRun, LoadRuns, displacement_slopes, runs_by_load, scales
 from labpipe.methods.run_ups.records import RunUp
 
-# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of the problems *chosen*
-# (n_chosen,).
+# Objective (n_trial, n_chosen) of points (n_trial, n_chosen, n_parameter) of problems (n_chosen,).
 Objective = Callable[[FloatArray, IntArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """Limits of a search. Meshes are shares of the box's width, *target_share* is a share of the objective at
-    the start.
-    """
+    """Limits of a search: meshes as shares of the box's width, the target as one of the first objective."""
 
     first_mesh: float = 0.25
     smallest_mesh: float = 1e-4
@@ -53,16 +43,14 @@ USUAL = SearchLimits()
 
 @dataclass(frozen=True)
 class SearchHistory:
-    """One row per iteration, (n_iteration, n_problem) each: evaluations, lowest objective [its unit], mesh
-    [-] (NaN without a mesh).
-    """
+    """Evaluations, lowest objective [its unit], mesh [-] or NaN, (n_iteration, n_problem) each."""
 
     evaluations: IntArray
     objective: FloatArray
     mesh: FloatArray
 
     def at(self, rows: BoolArray | slice, problems: IntArray | slice) -> SearchHistory:
-        """Some rows (n_row,) of some problems (n_problem,) [units as before]."""
+        """Rows (n_row,) of problems (n_problem,) [units as before]."""
         return SearchHistory(
             self.evaluations[rows, problems], self.objective[rows, problems], self.mesh[rows, problems]
         )
@@ -75,9 +63,8 @@ class SearchHistory:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The lowest points (n_problem, n_parameter) [parameter units]; objective, mesh, evaluations
-    (n_problem,). capped (n_problem,): ended by the limit of evaluations, neither by the mesh nor by the
-    target of the objective.
+    """The lowest points (n_problem, n_parameter) [parameter units], their objective, mesh and evaluations
+    (n_problem,); capped (n_problem,): ended by the limit of evaluations.
     """
 
     values: FloatArray
@@ -95,9 +82,7 @@ def compass_search(
     upper: FloatArray,
     limits: SearchLimits = USUAL,
 ) -> SearchResult:
-    """Searches from *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same
-    shape; deterministic.
-    """
+    """From *start* (n_problem, n_parameter) [parameter units] between *lower* and *upper*, same shape."""
     values, width = np.array(start, np.float64), upper - lower
     n_problem, n_parameter = values.shape
     problems = np.arange(n_problem)
@@ -131,9 +116,8 @@ def cobyqa_search(
     upper: FloatArray,
     limits: SearchLimits = USUAL,
 ) -> SearchResult:
-    """Searches by COBYQA (Ragonneau 2022; scipy 1.14 or newer), one problem after the other; its trust region
-    has no mesh (NaN). *start*, *lower*, *upper* (n_problem, n_parameter) [parameter units]. ConfigError
-    without COBYQA in the installed scipy.
+    """By COBYQA (Ragonneau 2022; ConfigError where scipy is older than 1.14), without a mesh (NaN); *start*,
+    *lower*, *upper* (n_problem, n_parameter) [parameter units].
     """
     width = upper - lower
     traces = [_trace(objective, n, start[n], lower[n], width[n], limits) for n in range(start.shape[0])]
@@ -159,7 +143,6 @@ def _trace(
     width: FloatArray,
     limits: SearchLimits,
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Points as parts of the box, their objectives, and whether the limit of evaluations ended it."""
     points: list[FloatArray] = []
     objectives: list[float] = []
     number = np.array([problem])
@@ -194,10 +177,8 @@ AT_BOUND = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedwiseFit:
-    """The coefficients of one *load* [N] at every *speed* (n_speed,) [rad/s].
-
-    coefficients, start (n_speed, 8) [N/m, N s/m]; at_bound (n_speed, 8); rank, condition (n_speed,): of the
-    data alone; chi2, n_datum: sum of squares over the data's errors, real data.
+    """The coefficients (n_speed, 8) [N/m, N s/m] of one *load* [N] at *speed* (n_speed,) [rad/s], *start* and
+    at_bound alike; rank, condition (n_speed,): of the data alone; chi2 of n_datum real data.
     """
 
     load: float
@@ -211,9 +192,7 @@ class SpeedwiseFit:
     n_datum: int
 
     def at_speed(self) -> CoefficientsAtSpeed:
-        """K and C as a function of speed, linear between the points. Beyond them K and Omega C stay
-        constant.
-        """
+        """K and C over speed, linear between the points; beyond them K and Omega C stay constant."""
 
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
@@ -223,15 +202,14 @@ class SpeedwiseFit:
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeFit(SpeedwiseFit):
-    """A fit to amplitudes alone: objective (n_speed,) [m^2]; measured (n_speed,): sum of the squared
-    amplitudes [m^2]. Of the search: evaluations, mesh, capped (n_speed,), its history; every start's factors
-    (n_start, n_speed, 8) and objectives (n_start, n_speed), the rotor file's coefficients first.
+    """A fit to amplitudes alone: objective, measured (n_speed,), sums of squares [m^2]; of its search
+    evaluations, capped (n_speed,) and history; every start's factors (n_start, n_speed, 8) and
+    objectives (n_start, n_speed), from the rotor file's coefficients first.
     """
 
     objective: FloatArray
     measured: FloatArray
     evaluations: IntArray
-    mesh: FloatArray
     capped: BoolArray
     history: SearchHistory
     factors: FloatArray
@@ -257,9 +235,8 @@ def fit_amplitudes(
     seed: int = SEED,
     limits: SearchLimits = USUAL,
 ) -> list[AmplitudeFit]:
-    """One AmplitudeFit per load, by the *method* of SEARCHES; the first of the *starts* is the rotor file's
-    bearing, the others are drawn evenly from the box. The lowest objective of the starts is kept. Equation
-    (run-amplitudes).
+    """One AmplitudeFit per load, by the *method* of SEARCHES: the lowest of the *starts*, of which the first
+    is the rotor file's bearing, others are drawn evenly from the box. Equation (run-amplitudes).
     """
     rng = np.random.default_rng(seed)
     return [_fit_load(rig, group, bound, method, starts, rng, limits) for group in runs_by_load(rig, runs)]
@@ -300,7 +277,6 @@ def _fit_load(
         chi2=float(np.sum((misfit / amplitudes.error) ** 2)),
         n_datum=amplitudes.measured.size,
         evaluations=search.evaluations[best],
-        mesh=search.mesh[best],
         capped=search.capped[best],
         history=search.history.at(slice(None), best),
         factors=search.values.reshape(starts, n, 8),
@@ -310,9 +286,7 @@ def _fit_load(
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Largest displacements of all *runs* of a load: measured, with their standard errors, (n_speed, n_plane)
-    [m], planes of all runs.
-    """
+    """Largest displacements *measured* in all *runs* of a load, with errors, (n_speed, n_plane) [m]."""
 
     runs: tuple[ExcitedRun, ...]
     measured: FloatArray
@@ -325,9 +299,7 @@ class Amplitudes:
         return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate(errors, axis=1))
 
     def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
-        """Largest displacements (..., n_chosen, n_plane) [m] from coefficients (..., n_chosen, 8) [N/m, N
-        s/m] at the *chosen* speeds.
-        """
+        """(..., n_chosen, n_plane) [m] by coefficients (..., n_chosen, 8) [N/m, N s/m] at *chosen* speeds."""
         matrices, sizes = rotor.as_matrices(eight), []
         for run in self.runs:
             response = run.condensed.at(chosen).response(*matrices)
@@ -345,9 +317,7 @@ class Amplitudes:
         return squares
 
     def slopes(self, eight: FloatArray) -> FloatArray:
-        """Derivatives (n_speed, n_plane, 8) by the coefficients (n_speed, 8) [N/m, N s/m], over the standard
-        errors.
-        """
+        """Derivatives (n_speed, n_plane, 8) by coefficients (n_speed, 8) [N/m, N s/m], over the errors."""
         matrices = rotor.as_matrices(eight)
         parts = [displacement_slopes(*run.condensed.response_and_slopes(*matrices)) for run in self.runs]
         return np.concatenate(parts, axis=1) / self.error[..., None]

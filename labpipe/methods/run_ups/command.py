@@ -36,9 +36,7 @@ from labpipe.cli import options
     help="Revolutions per segment.",
 )
 @click.option("--gap", help="Radial gap of the bearings, e.g. '0.45 mm', for comparison with the orbits.")
-@click.option(
-    "--limit", default="20 %", show_default=True, help="Share of the gap beyond which an orbit is reported."
-)
+@click.option("--limit", help="Share of the gap beyond which an orbit is reported; default: 20 %.")
 @click.option(
     "--save-run-up", type=options.PATH, help="Also write a run-up table (CSV) for `run_ups:` of a pipeline."
 )
@@ -79,8 +77,6 @@ def orders(**settings: Any) -> int:
     """
     from labpipe.methods.run_ups.orders import track_and_write
 
-    if settings["gap"] is None:
-        options.refuse_given(("limit",), "a share of the gap: name it, --gap LENGTH")
     if settings["tacho"] is None:
         options.refuse_given(("pulses",), "a tacho: name its channel, --tacho NAME")
     return track_and_write(**settings)

@@ -1,6 +1,4 @@
-"""Run-ups as figures: Bode, polar and orbit plots with every method's curve, speeds over the load, cascades
-of recordings.
-"""
+"""Run-ups as figures: Bode, polar and orbit plots, speeds over the load, cascades, searches, surfaces."""
 
 from __future__ import annotations
 
@@ -66,13 +64,9 @@ def bode_figure(result: records.RunUpResult, run: records.MeasuredRun) -> Figure
         tuple(panels[place] for place in sorted(panels)), 4, len(planes), (chart.WIDTH, 7.8), "x", "above"
     )
     bars = "bars: 95 % of the measurement; upright line: measured critical speed"
-    caption = (
-        f"{run.name}, {run.load:.4g} N, {run.role}: Bode plot, 0-to-peak, phase against the "
-        f"keyphasor; {bars}."
-    )
-    return Figure(
-        graphic, caption, f"Amplitude and phase of run {run.name} over speed, measured and by every method"
-    )
+    plot = f"Bode plot, 0-to-peak, phase against the keyphasor; {bars}."
+    alternative = f"Amplitude and phase of run {run.name} over speed, measured and by every method"
+    return Figure(graphic, f"{run.name}, {run.load:.4g} N, {run.role}: {plot}", alternative)
 
 
 def _bode_series(
@@ -113,9 +107,7 @@ def _method_bode(
 
 
 def best_method(result: records.RunUpResult) -> records.RunUpMethod | None:
-    """The method drawn with the measurement in figures of one method: (d) where chi-square rejects (c), else
-    (c), (b), (a).
-    """
+    """The one of figures of one method: (d) where chi-square rejects (c), else (c), (b), (a)."""
     joint = result.method("joint")
     order = ["joint", "process", "points", "amplitudes"]
     if joint is not None and joint.verdict == "rejected":
@@ -170,9 +162,7 @@ def orbit_figure(result: records.RunUpResult, method: records.RunUpMethod | None
 
 
 def orbit_places(run: records.MeasuredRun) -> list[int]:
-    """Rows of a run at three quarters, one, and beyond its critical speed, and its last. Spread evenly
-    without one.
-    """
+    """Rows of a run below, at and beyond its critical speed, and the last; spread evenly without one."""
     n, speed = len(run.speed), np.array(run.speed)
     if run.critical_speed is None:
         return [int(place) for place in np.linspace(0, n - 1, ORBITS).round()]
@@ -217,15 +207,9 @@ def speeds_figure(result: records.RunUpResult) -> Figure:
     ]
     held_out_loads = ", ".join(f"{run.load:.4g} N" for run in result.runs if run.role == records.HELD_OUT)
     remark = f" The run at {held_out_loads} is in no fit." if held_out_loads else ""
-    caption = (
-        "Critical speed and threshold of instability over the load: measured and by every method; "
-        f"bars: 95 % intervals.{remark}"
-    )
-    return Figure(
-        chart.stack(panels, 5.4),
-        caption,
-        "Critical speed and threshold over the load, measured and by every method",
-    )
+    what = "Critical speed and threshold of instability over the load: measured and by every method"
+    alternative = "Critical speed and threshold over the load, measured and by every method"
+    return Figure(chart.stack(panels, 5.4), f"{what}; bars: 95 % intervals.{remark}", alternative)
 
 
 def _speed_series(result: records.RunUpResult, item: str) -> tuple[chart.Series, ...]:
@@ -241,9 +225,7 @@ def _speed_series(result: records.RunUpResult, item: str) -> tuple[chart.Series,
 def _speeds(
     amounts: Sequence[tuple[float, records.Amount | None]], name: str, colour: int, line: str, **style: Any
 ) -> list[chart.Series]:
-    points = sorted(
-        (load, amount.value, amount.std_error or 0.0) for load, amount in amounts if amount is not None
-    )
+    points = sorted((load, one.value, one.std_error or 0.0) for load, one in amounts if one is not None)
     if not points:
         return []
     load, value, error = np.array(points).T
@@ -255,7 +237,7 @@ def cascade_figure(run: records.MeasuredRun, cascade: records.Cascade) -> Figure
     frequency, speed = 60 * np.array(cascade.frequency), 60 * np.array(cascade.speed)
     amplitude = UM * np.array(cascade.amplitude)
     step = float(np.ptp(speed)) / max(len(speed) - 1, 1)
-    scale = TALL * step / float(amplitude.max())
+    scale = TALL * step / (float(amplitude.max()) or 1.0)
     rows = zip(speed, amplitude, strict=True)
     spectra = [
         chart.curve("spectra", frequency, height + scale * spectrum, width=0.7) for height, spectrum in rows
@@ -266,9 +248,8 @@ def cascade_figure(run: records.MeasuredRun, cascade: records.Cascade) -> Figure
     graphic = chart.stack([chart.Panel(x, SPEED, (*spectra, *orders))], 5.0)
     highest = f"the highest line is {amplitude.max():.3g} um, 0-to-peak"
     caption = f"{run.name}: cascade of {cascade.label}; {highest}. Lines below 1x warn of whirl."
-    return Figure(
-        graphic, caption, f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed"
-    )
+    alternative = f"Cascade plot of {cascade.label} in run {run.name}: spectra over the speed"
+    return Figure(graphic, caption, alternative)
 
 
 # Half width of the group of starts of a search; largest spread of factors that counts as agreement.
@@ -278,9 +259,7 @@ ITERATION = chart.Axis("iteration")
 
 @dataclass(frozen=True, eq=False)
 class CoefficientSurfaces:
-    """Surfaces of coefficients: *speed* (n_speed,) [rpm], *load* (n_load,) [N], *values* (n, n_load, n_speed)
-    in the units of *titles*.
-    """
+    """Over *speed* (n_speed,) [rpm] and *load* (n_load,) [N], *values* (n, n_load, n_speed) of *titles*."""
 
     speed: FloatArray
     load: FloatArray
@@ -302,13 +281,10 @@ def coefficient_figure(result: records.RunUpResult, run: records.MeasuredRun) ->
         for n in order
     ]
     graphic = chart.Chart(tuple(panels), 4, 2, (chart.WIDTH, 7.8), "x", "above")
-    caption = (
-        f"Coefficients at {run.load:.4g} N ({run.name}, {run.role}) by every method; shaded: 95 % "
-        "intervals, where a method has any."
-    )
-    return Figure(
-        graphic, caption, f"Eight journal coefficients over speed at {run.load:.4g} N by every method"
-    )
+    place = f"Coefficients at {run.load:.4g} N ({run.name}, {run.role}) by every method"
+    caption = f"{place}; shaded: 95 % intervals, where a method has any."
+    alternative = f"Eight journal coefficients over speed at {run.load:.4g} N by every method"
+    return Figure(graphic, caption, alternative)
 
 
 def _coefficient(
@@ -370,14 +346,10 @@ def spread_figure(method: records.RunUpMethod, spread: records.StartSpread) -> F
         f"{len(factors)} starts", (np.arange(8) + shift).reshape(-1), factors.reshape(-1), 3, marker="o"
     )
     mean = chart.dots("mean", np.arange(8), factors.mean(axis=0), chart.INK, marker="s", size=4.0)
-    caption = (
-        f"{method.title}: final factors of {len(factors)} starts at {spread.where}; {spread_text(spread)}."
-    )
-    return Figure(
-        chart.stack([_factors((starts, mean))], 2.9),
-        caption,
-        f"Spread of the factors over {len(factors)} starts at {spread.where}",
-    )
+    place = f"{len(factors)} starts at {spread.where}"
+    caption = f"{method.title}: final factors of {place}; {spread_text(spread)}."
+    graphic = chart.stack([_factors((starts, mean))], 2.9)
+    return Figure(graphic, caption, f"Spread of the factors over {place}")
 
 
 def spread_text(spread: records.StartSpread) -> str:
@@ -385,9 +357,8 @@ def spread_text(spread: records.StartSpread) -> str:
     reached = f"all meet the measured amplitudes within {100 * max(spread.objective):.2g} %"
     if wide < ALIKE:
         return f"{reached}, with factors that agree within {wide:.2f}"
-    return (
-        f"{reached}, yet their factors spread over {wide:.2f} (median): the coefficients are not determined"
-    )
+    spread_wide = f"yet their factors spread over {wide:.2f} (median)"
+    return f"{reached}, {spread_wide}: the coefficients are not determined"
 
 
 def surface_figures(model: records.MetamodelResult) -> list[Figure]:
@@ -401,19 +372,12 @@ def _surfaces(model: records.MetamodelResult, first: int, quantity: str) -> Figu
     titles = tuple(f"{name} [{unit}]" for name in names)
     surfaces = CoefficientSurfaces(RPM * np.array(model.surface.speed), load, values, titles)
     fitted = [validation.load for validation in model.left_out]
-    beyond = (
-        f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N extrapolated"
-        if fitted and max(fitted) < 0.99 * load.max()
-        else ""
-    )
-    caption = (
-        f"{model.title[:1].upper()}{model.title[1:]}: {quantity} coefficients over load and speed{beyond}."
-    )
-    return Figure(
-        chart.Drawing("surfaces", surfaces, (chart.WIDTH, 6.2)),
-        caption,
-        f"Surfaces of the four {quantity} coefficients over load and speed by the {model.title}",
-    )
+    beyond, over = "", f"{quantity} coefficients over load and speed"
+    if fitted and max(fitted) < 0.99 * load.max():
+        beyond = f"; beyond {min(fitted):.3g} to {max(fitted):.3g} N extrapolated"
+    caption = f"{model.title[:1].upper()}{model.title[1:]}: {over}{beyond}."
+    graphic = chart.Drawing("surfaces", surfaces, (chart.WIDTH, 6.2))
+    return Figure(graphic, caption, f"Surfaces of the four {over} by the {model.title}")
 
 
 def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> Canvas:

@@ -1,8 +1,5 @@
-"""One fit of the film's physical parameters to all complex responses at all loads and speeds, and its
-predictions.
-
-|r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / spread)^2 over the family's parameters p; r is the
-residual of the responses over their standard errors.
+"""One fit of the film's physical parameters p to all complex responses: least |r|^2 + sum ((Omega_th -
+Omega_meas) / s)^2 + sum (p / spread)^2, r the residual of the responses over their standard errors.
 """
 
 from __future__ import annotations
@@ -45,9 +42,8 @@ def run_up_problem(
     spread: FloatArray,
     free: BoolArray | None = None,
 ) -> Problem[Family]:
-    """Responses, thresholds and priors of the parameters of a *family*, about zero with standard deviations
-    *spread* (n_parameter,) [-]; *free* (n_parameter,): those that are fitted, all by
-    default.
+    """Responses, thresholds and priors of a *family* about zero with standard deviations *spread*
+    (n_parameter,) [-]; *free* (n_parameter,): parameters that are fitted, all by default.
     """
     parts = (run.run.response / run.run.amplitude_error for group in groups for run in group.runs)
     size = float(np.sqrt(sum(float(np.sum(np.abs(part) ** 2)) for part in parts)))
@@ -57,17 +53,15 @@ def run_up_problem(
 
 @dataclass(frozen=True)
 class MeasuredThreshold:
-    """The threshold of instability *speed* [rad/s] of a *rig* under a *load* [N], as it was measured."""
+    """The measured threshold of instability *speed* [rad/s] of a *rig* under a *load* [N]."""
 
     rig: rotor.RunUpRotor
     load: float
     speed: Uncertain
 
     def residual(self, model: rotor.CoefficientFamily, values: FloatArray) -> Residual:
-        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter).
-
-        d Omega_th = -d growth / (d growth / d Omega) at the threshold. FitError where the search from the
-        measured speed finds none. Equation (run-threshold).
+        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter), by d
+        Omega_th = -d growth / (d growth / d Omega). FitError as `nearby_threshold`. Equation (run-threshold).
         """
         speed, by_speed = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
         eight, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
@@ -79,7 +73,6 @@ class MeasuredThreshold:
 
 
 def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
-    """The measured thresholds of a *rig*."""
     return tuple(
         MeasuredThreshold(rig, group.load, run.run.threshold)
         for group in groups
@@ -91,8 +84,8 @@ def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> 
 def nearby_threshold(
     rig: rotor.RunUpRotor, coefficients: CoefficientsAtSpeed, start: float
 ) -> tuple[float, float]:
-    """The threshold [rad/s] by Newton's method from *start*, and the slope of the growth rate by speed there
-    [1/s per rad/s]: that of the least stable mode, coefficients by central differences.
+    """The threshold [rad/s] by Newton's method from *start*, and the slope of the least stable mode's growth
+    rate by speed there [1/s per rad/s]; FitError where there is none near.
     """
     speed = start
     for _ in range(MOST_SEARCHES):
@@ -130,9 +123,7 @@ def outside(load: float, low: float, high: float, of: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class RunUpFit(Posterior[Family]):
-    """The posterior of the parameters of a family of coefficients, of all run-ups of a *rig*, after so many
-    *steps*.
-    """
+    """The posterior of a family's parameters by all run-ups of a *rig*, after so many *steps*."""
 
     rig: rotor.RunUpRotor
     steps: int
@@ -148,12 +139,11 @@ class RunUpFit(Posterior[Family]):
 
     @property
     def sources(self) -> tuple[Uncertainty, ...]:
-        """Uncertainties of probes."""
         return sources_of(self.groups)
 
     @cached_property
     def changes(self) -> FloatArray:
-        """Of the residual by one standard uncertainty of each of the sources, (n_source, n_datum) [1]."""
+        """Of the residual by one standard uncertainty of each source, (n_source, n_datum) [1]."""
         names = [source.source for source in self.sources]
         by_group = [group.residual_changes(names).reshape(len(names), -1) for group in self.groups if names]
         measured = np.concatenate([np.zeros((len(names), 0)), *by_group], axis=1)
@@ -161,9 +151,7 @@ class RunUpFit(Posterior[Family]):
 
     @cached_property
     def systematic(self) -> FloatArray:
-        """Changes of the parameters by one standard uncertainty of each of the sources, (n_source,
-        n_parameter) [1].
-        """
+        """Of the parameters by one standard uncertainty of each source, (n_source, n_parameter) [1]."""
         systematic = np.zeros((len(self.sources), self.values.size))
         systematic[:, self.problem.free] = steps_by(self.changes, self.slopes, self.free_covariance)
         return systematic
@@ -176,7 +164,7 @@ class RunUpFit(Posterior[Family]):
 
     @property
     def chi2_per_datum(self) -> float:
-        """chi-square over degrees of freedom; near one where the bearing belongs to the family."""
+        """Near one where the bearing belongs to the family."""
         return self.chi2 / (self.n_datum - self.n_effective)
 
     @property
@@ -202,16 +190,14 @@ class RunUpFit(Posterior[Family]):
         return self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
 
     def extrapolated(self, load: float) -> str:
-        """Warning on a *load* [N] outside those of the fit; empty within."""
+        """Warning on a *load* [N] beyond those of the fit, or empty."""
         beyond = outside(load, min(self.loads), max(self.loads), "the fit")
         return beyond and f"{beyond}: "
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointFit(RunUpFit[rotor.FilmFamily]):
-    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing; *known*: those that were not
-    estimated.
-    """
+    """Logarithms *values* (12,) of PARAMETERS about the rotor file's bearing but those *known*."""
 
     known: Collection[str] = ()
 
@@ -243,15 +229,11 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
 
     @property
     def whole_covariance(self) -> FloatArray:
-        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the uncertainties of the
-        probes.
-        """
+        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the probes."""
         return np.asarray(self.widening**2 * self.covariance + self.systematic.T @ self.systematic)
 
     def parameter(self, name: str) -> Uncertain:
-        """The factor exp(value) on the rotor file's value, for the two slopes the exponent itself, with its
-        standard error.
-        """
+        """The factor exp(value) on the rotor file's value; of the two slopes the exponent itself."""
         n = rotor.PARAMETERS.index(name)
         value, error = float(self.values[n]), float(self.std_error[n])
         if name in EXPONENTS:
@@ -264,15 +246,11 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
-        named.
-        """
+        """Speed [rad/s] of the largest displacement at a plane, or the last one."""
         return self._predict(lambda values: self.rig.critical_speed(self.model.at_load(values, load), plane))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]. None when there is none up to twice the highest speed of the
-        search.
-        """
+        """Onset speed of instability [rad/s], if there is one within the search."""
         if self.rig.threshold(self.at_load(load)) is None:
             return None
 
@@ -286,22 +264,16 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         return self._predict(speed_of)
 
     def caution(self, load: float) -> str:
-        """Warning on a prediction at a *load* [N]: family rejected, load extrapolated; empty otherwise."""
-        parts = []
-        if self.rejected:
-            parts.append(
-                f"chi-square per datum is {self.chi2_per_datum:.1f}: the bearing is not of the fitted "
-                "family, and no interval is given"
-            )
-        if beyond := self.extrapolated(load):
-            parts.append(
-                f"{beyond}the interval holds for bearings of the fitted family only; chi-square tests the "
-                "measured loads only"
-            )
-        return "; ".join(parts)
+        """Warning on a rejected family and on a *load* [N] beyond those of the fit, or empty."""
+        excess = f"chi-square per datum is {self.chi2_per_datum:.1f}"
+        rejected = f"{excess}: the bearing is not of the fitted family, and no interval is given"
+        only = "the interval holds for bearings of the fitted family only; "
+        only += "chi-square tests the measured loads only"
+        beyond = self.extrapolated(load)
+        return "; ".join(([rejected] if self.rejected else []) + ([f"{beyond}{only}"] if beyond else []))
 
     def _predict(self, predict: Callable[[FloatArray], float]) -> Uncertain:
-        """A prediction with its standard error: central differences along the axes of the covariance."""
+        """By central differences along the axes of the covariance."""
         sizes, axes = np.linalg.eigh(self.whole_covariance)
         variance = 0.0
         for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
@@ -320,9 +292,7 @@ NEAR = 0.05
 def family_about(
     rig: rotor.RunUpRotor, loads: Iterable[float], what: str = "a joint fit of the film's parameters"
 ) -> rotor.FilmFamily:
-    """The family about the rotor file's bearing, its slopes about the middle of the *loads* [N] and half the
-    highest speed.
-    """
+    """The family about the rotor file's bearing, its slopes about middle *loads* [N] and speeds."""
     middle = float(np.exp(np.mean(np.log(sorted(set(loads))))))
     return rotor.FilmFamily(rig.place.film(what), rig.search.high / 2, middle)
 
@@ -330,10 +300,8 @@ def family_about(
 def fit_jointly(
     rig: rotor.RunUpRotor, runs: Iterable[RunUp], use_thresholds: bool = True, known: Collection[str] = ()
 ) -> JointFit:
-    """The twelve parameters from all runs; parameters that run into their bounds (`BOUND`) stay there and
-    have no standard error.
-
-    *known*: PARAMETERS that are those of the rotor file. FitError when no minimum is found.
+    """The PARAMETERS but those *known* from all runs; those that run into their bounds (`BOUND`) stay there,
+    without a standard error. FitError when no minimum is found.
     """
     runs = list(runs)
     rig = rotor.searched_over(rig, runs)

@@ -1,7 +1,5 @@
-"""A run-up judged: slow roll taken out, critical speeds with amplification factors and separation margins,
-sensitivity to a stated unbalance, each with its interval, and each limit a decision by that interval.
-
-Margins are those of API 617 and 684 as labpipe.methods.rotor.theory has them, known second-hand.
+"""A run-up judged: slow roll, critical speeds with amplification factors and separation margins (those of API
+617 and 684 of labpipe.methods.rotor.theory), sensitivity to a stated unbalance, each by its interval.
 """
 
 from __future__ import annotations
@@ -15,27 +13,26 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rotor.theory import KEPT, UNDECIDED, Critical, decision
-from labpipe.methods.run_ups.measured import rational_fit
+from labpipe.methods.run_ups.measured import check_moving, rational_fit
 from labpipe.spectra.orders import OrderTrack
 
 # Draws of the readings' noise, and their seed; speeds on which the curve through them is looked at.
 DRAWS, SEED, FINE = 200, 20261126, 2000
 # Stiffnesses of smoothing that are tried, for speeds from 0 to 1 and weights of mean 1.
 STIFFNESSES = np.geomspace(1e-12, 1.0, 37)
-# A peak rises this many standard uncertainties of the curve, and this share of the largest amplitude, above
-# the higher one of the dips beside it.
+# A peak rises this many standard uncertainties, and this share of the largest amplitude, above its dips.
 CLEAR, SMALL = 8.0, 0.05
 # Fewest speeds for a curve, and in the band of the slow roll.
 FEWEST, FEWEST_SLOW = 12, 4
 # What half as many readings change is at least so many times the error of a cubic spline through all of them.
 HALVED = 8.0
-# Half-power widths beside the half-power speeds in which one mode is fitted, with so many readings at least
-# and a chi-square per datum up to this; points of its curve.
+# Half-power widths beside the half-power speeds in which one mode is fitted, fewest readings and largest
+# chi-square per datum there; points of its curve.
 BESIDE, ENOUGH, FITS, POINTS = 1.5, 10, 2.0, 801
 # The most that is asked for above the speed range.
 MOST_ABOVE = 0.26
-# (df/dt) (AF / f)^2, the time the rotor rings over that in which it passes the half-power width (times pi),
-# beyond which a peak is not that of a steady rotor.
+# (df/dt) (AF / f)^2, time of ringing over that in the half-power width (times pi), up to which a peak
+# is that of a steady rotor.
 STEADY = 0.3
 
 
@@ -50,10 +47,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class JudgedPeak:
-    """A critical speed as one *probe* shows it: *speed* [Hz], *amplification* [1], None where the half-power
-    speeds lie outside the run, *amplitude* [unit of the probe], separation *margin* from the speed range that
-    there is, and *asked* [%]; *outcome* with the *probability* that the margin is kept. fast: the speed
-    passed it too fast for a steady peak.
+    """A critical speed as one *probe* shows it: *speed* [Hz], *amplification* [1], None without half-power
+    speeds in the run, *amplitude* [unit of the probe], separation *margin* that there is, and *asked* [%];
+    *outcome* with the *probability* that it is kept. fast: passed too fast for a steady peak.
     """
 
     probe: str
@@ -69,8 +65,8 @@ class JudgedPeak:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Local sensitivity of ISO 21940-31 at one *probe*: change of its 1x amplitude per change of unbalance,
-    largest in the speed range, [unit of the probe per kg m], at *speed* [Hz].
+    """Local sensitivity of ISO 21940-31: change of a *probe*'s 1x amplitude per unbalance, the largest in the
+    speed range [unit of the probe per kg m], at *speed* [Hz].
     """
 
     probe: str
@@ -80,9 +76,9 @@ class Sensitivity:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What a run-up shows: *slow_roll* (n_probe,) [m] that was taken out, peaks, and sensitivities; *curve*
-    (n_fine, n_probe) [m] of amplitudes over *fine* (n_fine,) [Hz] with the *ends* (2, n_fine, n_probe) of its
-    95 % interval, the *speed_range* [Hz]. In the unit of the probes where they read another motion.
+    """What a run-up shows [m, or the unit of the probes]: *slow_roll* (n_probe,) that was taken out, peaks,
+    sensitivities; *curve* (n_fine, n_probe) of amplitudes over *fine* (n_fine,) [Hz] with the *ends* (2,
+    n_fine, n_probe) of its 95 % interval; *speed_range* [Hz].
     """
 
     probes: tuple[str, ...]
@@ -96,7 +92,7 @@ class Judgement:
 
     @property
     def accepted(self) -> bool:
-        """Whether the speed range was run and every margin is kept; what is undecided is not."""
+        """Whether the speed range was run and every margin is kept."""
         if self.speed_range is None:
             return True
         low, high = self.speed_range
@@ -105,7 +101,7 @@ class Judgement:
 
     @property
     def not_run(self) -> str:
-        """Speeds of operation, and those at which a critical one would break a margin, that were not run."""
+        """Speeds of operation, or at which a critical one would break a margin, that were not run."""
         if self.speed_range is None:
             return ""
         (low, high), first, last = self.speed_range, self.fine[0], self.fine[-1]
@@ -128,12 +124,12 @@ def judge(
     baseline: OrderTrack | None = None,
 ) -> Judgement:
     """The 1x track of a run judged; bands in [Hz], *unbalance* [kg m] of which the motion is the response:
-    what was added since the *baseline* run, or all there is. DataError where speeds are too few.
+    what was added since the *baseline* run, or all there is. DataError for too few speeds, or a dead probe.
 
-    Peaks by one mode about them where one fits, else by smoothing splines of the readings' parts over speed;
-    intervals are the 2.5 and 97.5 % points of draws of the readings' noise, enlarged to what they scatter by.
-    A margin is kept or broken where its interval is all on one side, else undecided. Equation (run-judged).
+    Peaks by one mode where one fits, else by smoothing splines of the readings' parts over speed; intervals
+    by draws of the readings' noise, enlarged to what they scatter by. Equation (run-judged).
     """
+    check_moving(track, "the run-up", range(len(track.ports)))
     speed, readings, deviation = _by_speed(track)
     rng = np.random.default_rng(SEED)
     smooth = _Smooth(speed, readings, deviation)
@@ -176,7 +172,7 @@ def judge(
 
 
 def _by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Rising speeds [Hz], readings and the standard deviation of their parts; of equal speeds the first."""
+    """Rising speeds [Hz], readings, deviation of their parts; of equal speeds the first."""
     speed, order = np.unique(np.round(track.speed, 6), return_index=True)
     if speed.size < FEWEST:
         hint = f"{FEWEST} at least"
@@ -185,11 +181,9 @@ def _by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
 
 
 class _Smooth:
-    """Natural smoothing splines through the parts of readings (n_speed, n_probe) with the standard
-    *deviation* of each part: *fitted* (n_fine, n_probe) at *fine* (n_fine,) [Hz]. The deviation grows to what
-    the readings scatter by.
-
-    g = (W + lambda Q R^-1 Q^T)^-1 W y (Reinsch 1967), lambda by generalised cross-validation.
+    """Natural smoothing splines g = (W + lambda Q R^-1 Q^T)^-1 W y (Reinsch 1967) through the parts of
+    readings (n_speed, n_probe), lambda by generalised cross-validation: *fitted* at *fine* [Hz]. The
+    *deviation* of each part grows to what the readings scatter by.
     """
 
     def __init__(
@@ -217,7 +211,7 @@ class _Smooth:
         self.deviation = deviation * np.sqrt(np.maximum(chi2, 1.0))
 
     def drawn(self, rng: np.random.Generator) -> ComplexArray:
-        """Curves of readings with noise once more, (DRAWS, n_fine, n_probe) [unit of the readings]."""
+        """With noise once more, (DRAWS, n_fine, n_probe) [unit of the readings]."""
         shape = (DRAWS, *self.deviation.shape)
         noise = self.deviation * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
         return self.fitted + np.stack(
@@ -250,9 +244,8 @@ def _slow_roll(
     critical: float,
     rng: np.random.Generator,
 ) -> ComplexArray:
-    """Vectors s of z = s + a Omega^2 / (1 - Omega^2 / Omega_c^2) in the band, since unbalance moves the rotor
-    there already, below the first *critical* speed [Hz] (or the end of the run), and draws of them, (1 +
-    DRAWS, n_probe) [unit of the readings].
+    """s of z = s + a Omega^2 / (1 - Omega^2 / Omega_c^2) in the band, below the first *critical* speed [Hz]
+    or the end of the run, and draws of it, (1 + DRAWS, n_probe).
     """
     slow = (speed >= band[0]) & (speed <= band[1])
     if slow.sum() < FEWEST_SLOW:
@@ -280,8 +273,8 @@ def _estimate(value: float, draws: Sequence[float]) -> Estimate:
 def _peaks(
     fine: FloatArray, amplitude: FloatArray, halved: FloatArray
 ) -> Iterator[tuple[Critical, list[Critical]]]:
-    """Clear peaks of the reading, each with those of the draws, (1 + DRAWS, n_fine) both: their scatter about
-    the reading's, and what a curve through every other reading (n_fine,) says.
+    """Clear peaks of the reading, each with those of the draws, (1 + DRAWS, n_fine): their scatter, and what
+    a curve through every other reading, *halved* (n_fine,), changes.
     """
     spread = float(np.median(np.std(amplitude[1:], axis=0)))
     clear = max(CLEAR * spread, SMALL * float(amplitude[0].max()))
@@ -297,7 +290,7 @@ def _peaks(
 
 
 def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Critical | None:
-    """The largest amplitude with its half-power speeds, by parabola and lines of 1 / amplitude^2."""
+    """By parabola, half-power speeds by lines of 1 / amplitude^2."""
     top = first + int(np.argmax(amplitude[first : last + 1]))
     if not 0 < top < fine.size - 1:
         return None
@@ -327,8 +320,8 @@ def _one_mode(
     offsets: ComplexArray | None,
     rng: np.random.Generator,
 ) -> tuple[Critical, list[Critical]] | None:
-    """The peak and those of the draws by one mode about it, z = Omega^2 (a + b Omega) / (1 + c Omega + d
-    Omega^2); None where the half-power speeds are not in the run, readings are few, or one mode does not fit.
+    """The peak and those of the draws by z = Omega^2 (a + b Omega) / (1 + c Omega + d Omega^2); None where
+    the half-power speeds are not in the run, readings are few, or one mode does not fit.
     """
     if peak.low is None or peak.high is None:
         return None

@@ -1,17 +1,13 @@
 """Measured run-ups: order tracks, the peak of the response, critical and threshold speeds.
 
-Near a critical speed all outputs are dominated by the same two modes and have one common denominator,
-
-    X_o(x) = (a_o + b_o x) / (1 + c x + d x^2),   x: speed, scaled to the points about the peak,
-
-fitted to the complex amplitudes by linear least squares, reweighted with the last denominator (Sanathanan &
-Koerner 1963). The largest displacement of the fitted orbit gives the speed; its error is that of refits under
-the stated noise, together with what two points fewer and the uncertainties of the probes change.
+Near a critical speed all outputs have one common denominator, X_o(x) = (a_o + b_o x) / (1 + c x + d x^2), x
+the speed about the peak: linear least squares, reweighted with the last denominator (Sanathanan & Koerner
+1963).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +21,6 @@ from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import to_display
 from labpipe.records.recording import Channel
 from labpipe.records.uncertain import COURSES, Uncertain
-from labpipe.registry import nearest
 from labpipe.spectra.orders import OrderTrack
 
 POINTS = 11
@@ -39,13 +34,9 @@ FINE = 1601
 
 
 def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
-    """Speed [rad/s] of the largest displacement at a plane (the last one unless named), with its standard
-    error.
-
-    DataError when there is no such plane, or no peak with measured speeds on both sides. Equation (run-peak).
+    """Speed [rad/s] of the largest displacement at a plane (the last one unless named). DataError without
+    a peak with measured speeds on both sides. Equation (run-peak).
     """
-    if plane and plane not in run.planes:
-        raise DataError(f"no plane '{plane}' in run '{run.name}'", hint=nearest(plane, run.planes))
     number = run.planes.index(plane) if plane else len(run.planes) - 1
     top = _top(run, number)
     size = min(POINTS, run.n_speed)
@@ -92,8 +83,8 @@ def _peak(run: records.RunUp, number: int, chosen: slice, response: ComplexArray
 
 
 def rational_fit(x: FloatArray, outputs: ComplexArray, errors: FloatArray, place: FloatArray) -> ComplexArray:
-    """The fitted outputs (n_place, n_output) [any unit] at *place* (n_place,) [1] from outputs and errors
-    (n_point, n_output) [any unit] at *x* (n_point,) [1].
+    """Fitted outputs (n_place, n_output) at *place* (n_place,) [1] from outputs and errors (n_point,
+    n_output) [any unit] at *x* (n_point,) [1].
     """
     n, m = outputs.shape
     denominator = np.ones(n, np.complex128)
@@ -116,8 +107,6 @@ GRAM_MM = 1e6
 
 @dataclass(frozen=True)
 class ReadRun:
-    """A run with its settings; *cascades* of a recording."""
-
     settings: RunSettings
     run: records.RunUp
     cascades: tuple[records.Cascade, ...] = ()
@@ -169,7 +158,7 @@ def motions(
     amplitude_error: FloatArray | None = None,
     phase_error: FloatArray | None = None,
 ) -> tuple[records.Motion, ...]:
-    """Phasors (n_speed, n_plane, 2) [m] and their errors [m, rad] as one record per plane and direction."""
+    """Phasors (n_speed, n_plane, 2) [m] with errors [m, rad] as one record per plane and direction."""
     return tuple(
         records.Motion(
             plane,
@@ -196,10 +185,9 @@ SAME_SPEED = 1e-3
 def run_up_of(
     track: OrderTrack, channels: Iterable[Channel], name: str, load: float, unbalance: Mapping[str, complex]
 ) -> records.RunUp:
-    """The run-up of a tracked order of *channels*; standard errors sqrt(variance / 2) of the amplitude,
-    divided by |X| for the phase. x and y are those of the rig file; x must point along the load. Segments
-    whose speeds agree to SAME_SPEED are averaged to one point (stepped run). DataError without a plane, for a
-    plane of other than displacements, or where the speed does not change.
+    """The run-up of a tracked order of *channels*, x along the load; standard errors sqrt(variance / 2) of
+    the amplitude, over |X| of the phase. Segments of one speed (SAME_SPEED) are averaged. DataError without a
+    plane of moving displacements, or where the speed does not change.
     """
     if not track.planes:
         hint = "name dofs in the rig file, for example disc1.x and disc1.y"
@@ -209,6 +197,7 @@ def run_up_of(
         if channel.name in in_planes and channel.quantity != "displacement":
             what = f"channel '{channel.name}' of recording '{name}' reads {channel.quantity}"
             raise DataError(what, hint="a run-up is of displacements: leave its direction out")
+    check_moving(track, name, [column for plane in track.planes for column in plane.columns])
     response, deviation = _in_planes(track)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
@@ -228,8 +217,17 @@ def run_up_of(
     )
 
 
+def check_moving(track: OrderTrack, name: str, columns: Sequence[int]) -> None:
+    """DataError for a probe, of the *columns* of a run's track, that reads nothing."""
+    for column in columns:
+        if np.any(still := track.amplitude[:, column] == 0):
+            at = f"{60 * track.speed[np.argmax(still)]:.4g} rpm"
+            what = f"probe '{track.ports[column].label}' of run '{name}' does not move at {at}"
+            raise DataError(f"{what}: it has no phase there", hint="look at the probe, or leave it out")
+
+
 def _probe_errors(track: OrderTrack) -> Iterator[records.ProbeError]:
-    """Uncertainties of all probes: one at theta + d reads d times what is across it."""
+    # A probe at theta + d reads d times what is across it.
     for at, plane in enumerate(track.planes):
         to_plane = np.linalg.inv(plane.directions)
         for row, column in enumerate(plane.columns):
@@ -246,7 +244,6 @@ def _probe_errors(track: OrderTrack) -> Iterator[records.ProbeError]:
 def _by_speed(
     speed: FloatArray, response: ComplexArray, deviation: FloatArray
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Segments by speed, those of equal speed averaged with the inverse of their variances."""
     order = np.argsort(speed, kind="stable")
     group, first = np.zeros(speed.size, np.intp), speed[order[0]]
     for place, value in enumerate(speed[order]):
@@ -271,9 +268,9 @@ def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
 
 
 def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
-    """Vector difference *run* - *residual* at common speeds: the response to the difference of their known
-    unbalances. Variances are added, each resolved along and across the difference phasor. DataError where
-    planes or loads differ, a shaker acts, or the runs have no common speed. Equation (run-difference).
+    """*run* - *residual* at common speeds, the response to the difference of their known unbalances,
+    variances resolved along and across it. DataError where planes or loads differ, a shaker acts, or no speed
+    is common. Equation (run-difference).
     """
     if run.planes != residual.planes:
         hint = "subtract runs of one rig"
@@ -293,22 +290,24 @@ def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
 
 
 def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
-    """A densely tracked run at *speed* (n,) [rad/s], linearly interpolated; speeds outside its range are
-    dropped. DataError when none is inside.
+    """A densely tracked run at those of *speed* (n,) [rad/s] within its own, linearly interpolated; DataError
+    for none.
     """
     inside = speed[(speed >= run.speed[0]) & (speed <= run.speed[-1])]
     if inside.size == 0:
         raise DataError(f"run '{run.name}' does not reach the speeds of the run that it is subtracted from")
+    between: dict[str, Any] = {}
+    for name in ("response", "amplitude_error", "phase_error"):
+        columns = getattr(run, name).reshape(run.n_speed, -1).T
+        values = np.stack([np.interp(inside, run.speed, column) for column in columns], axis=-1)
+        between[name] = values.reshape(-1, *run.response.shape[1:])
+    return replace(run, speed=inside, **between)
 
-    parts: list[Any] = []
-    for values in (run.response, run.amplitude_error, run.phase_error):
-        columns = values.reshape(run.n_speed, -1).T
-        between = np.stack([np.interp(inside, run.speed, column) for column in columns], axis=-1)
-        parts.append(between.reshape(-1, *values.shape[1:]))
-    response, amplitude_error, phase_error = parts
-    return replace(
-        run, speed=inside, response=response, amplitude_error=amplitude_error, phase_error=phase_error
-    )
+
+def added_since(residual: records.RunUp, run: records.RunUp) -> records.RunUp:
+    """What a recorded *run* with weights adds to its *residual* run without; DataError as `difference`."""
+    weightless = replace(residual, unbalance=dict.fromkeys(run.unbalance, 0j))
+    return difference(run, at_speeds(weightless, run.speed))
 
 
 def _vector_difference(

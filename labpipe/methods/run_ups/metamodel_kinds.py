@@ -37,17 +37,13 @@ class Queried(Protocol):
     """A fit with coefficients (n_speed, 8) and their errors at any load and speed."""
 
     def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients and standard errors (n_speed, 8) [N/m, N s/m] at a *load* [N] and speeds (n_speed,)
-        [rad/s].
-        """
+        """(n_speed, 8) [N/m, N s/m] each, at a *load* [N] and speeds (n_speed,) [rad/s]."""
         ...
 
 
 @dataclass(frozen=True)
 class Grid:
-    """load [N] and speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]. DataError for other shapes or
-    impossible values.
-    """
+    """load [N], speed [rad/s] (n_point,), eight (n_point, 8) [N/m, N s/m]; DataError for impossible ones."""
 
     load: FloatArray
     speed: FloatArray
@@ -62,14 +58,12 @@ class Grid:
 
     @classmethod
     def of(cls, fits: Iterable[SpeedwiseFit]) -> Grid:
-        """From one fit per load, such as a PointFit or an AmplitudeFit."""
+        """From one fit per load."""
         return cls._joined((fit.load, fit.speed, fit.coefficients) for fit in fits)
 
     @classmethod
     def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
-        """From a fit at any load, such as a JointFit or a ProcessFit, at *loads* [N] and *speed* (n_speed,)
-        [rad/s].
-        """
+        """From a fit at any load, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
         return cls._joined((load, speed, fit.coefficients(load, speed)[0]) for load in loads)
 
     @classmethod
@@ -90,9 +84,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Extent:
-    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid. Places are coded to -1 to 1 between
-    them.
-    """
+    """Lowest and highest *loads* [N] and *speeds* [rad/s] of a grid, coded to -1 to 1."""
 
     loads: tuple[float, float]
     speeds: tuple[float, float]
@@ -131,9 +123,9 @@ class WithinExtent:
 
 @dataclass(frozen=True, kw_only=True)
 class ResponseSurface(WithinExtent):
-    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient; inverse (6, 6): (X^T X)^-1; spread (8,): residual
-    standard deviation. r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the
-    mean; n_point: fitted points.
+    """beta (6, 8) [N/m, N s/m] of TERMS by coefficient, inverse (6, 6) = (X^T X)^-1, residual *spread* (8,);
+    r2, press, total (8,): coefficient of determination, PRESS, sum of squares about the mean of n_point
+    points.
     """
 
     extent: Extent
@@ -148,7 +140,7 @@ class ResponseSurface(WithinExtent):
 
     @property
     def r2_adjusted(self) -> FloatArray:
-        """R^2 adjusted for the number of terms (8,) [-]."""
+        """(8,) [-], for the number of terms."""
         return 1 - (1 - self.r2) * (self.n_point - 1) / (self.n_point - len(TERMS))
 
     @property
@@ -163,11 +155,11 @@ class ResponseSurface(WithinExtent):
         return f"{self.n_point} points, over the eight coefficients {ranges}"
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         return np.asarray(_terms(self.extent.coded(load, speed)) @ self.beta)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors of a new point (n_point, 8) [N/m, N s/m]: of the surface and of points about it."""
+        """Of a new point (n_point, 8) [N/m, N s/m]: of the surface and of points about it."""
         terms = _terms(self.extent.coded(load, speed))
         leverage = np.einsum("ni,ij,nj->n", terms, self.inverse, terms)
         return np.asarray(np.sqrt(1 + leverage)[:, None] * self.spread)
@@ -188,9 +180,7 @@ class ResponseSurface(WithinExtent):
 
 
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
-    """Least-squares fit of the surface; FitError when the grid has fewer than three loads or three speeds.
-    Equation (run-surface).
-    """
+    """By least squares; FitError for fewer than three loads or three speeds. Equation (run-surface)."""
     extent = Extent.of(grid)
     terms = _terms(extent.coded(grid.load, grid.speed))
     n, m = terms.shape
@@ -222,9 +212,7 @@ def _terms(coded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """Logarithms *values* (12,) and *covariance* (12, 12), widened, of all sources, [-] of a *family*;
-    *extent*: loads and speeds of the fit.
-    """
+    """Logarithms *values* (12,) and *covariance* (12, 12) [-] of a *family*, fitted within an *extent*."""
 
     extent: Extent
     family: FilmFamily
@@ -251,13 +239,11 @@ class PhysicalFit:
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]. FitError outside
-        the film's table.
-        """
+        """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]; FitError outside the film's table."""
         return self.family.coefficients(self.values, load, speed)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         places = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         _, slopes = self.family.coefficients_and_slopes(self.values, *(np.ravel(place) for place in places))
         return np.asarray(np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)))
@@ -283,9 +269,7 @@ class PhysicalFit:
 def physical_without(
     rig: RunUpRotor, runs: Sequence[RunUp], known: Sequence[str] = ()
 ) -> Callable[[float], PhysicalFit]:
-    """For a validation: the joint fit of all *runs* but those of one load [N], again for every load, *known*
-    parameters those of the rotor file. FitError where there is no other load.
-    """
+    """The joint fit of all *runs* but those of a load [N], a function of it; FitError without another."""
 
     def refitted(load: float) -> PhysicalFit:
         training = [run for run in runs if abs(run.load / load - 1) > SAME_LOAD]

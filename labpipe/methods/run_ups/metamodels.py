@@ -1,14 +1,12 @@
-"""Metamodels of the journal coefficients over load and speed: by scikit-learn, a response surface, the
-physical fit.
+"""Metamodels of the journal coefficients over load and speed by scikit-learn, and all of them by name.
 
-Gaussian process: y (standardised: zero mean, unit deviation) has the covariance p^2 (1 + w w' + s s') + a^2
-exp(-((w - w') / l_w)^2 / 2 - ((s - s') / l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and
-Williams 2006, sections 2.2, 2.7 and 5.4.1): a plane plus a smooth field. a, l_w, l_s and n of each
-coefficient maximise the marginal likelihood times their log-normal priors (HYPER); p is PLANE.
+Gaussian process: standardised y has the covariance p^2 (1 + w w' + s s') + a^2 exp(-((w - w') / l_w)^2 / 2 -
+((s - s') / l_s)^2 / 2), w and s coded to -1 to 1, and noise n^2 (Rasmussen and Williams 2006, sections 2.2,
+2.7 and 5.4.1). a, l_w, l_s and n maximise the marginal likelihood times log-normal priors (HYPER); p is
+PLANE.
 
-Network: two inputs, one hidden layer of tanh, eight outputs, trained by L-BFGS with weight decay. Predictions
-are the mean over repeats with different seeds, and their standard error is the spread of the repeats, the
-effect of the start weights only.
+Network: two inputs, one hidden layer of tanh, eight outputs, trained by L-BFGS with weight decay; the mean
+over repeats with different seeds, and their spread, which is the effect of the start weights only.
 """
 
 from __future__ import annotations
@@ -59,9 +57,7 @@ def scikit_learn(name: str, what: str) -> Any:
 
 @dataclass(frozen=True)
 class GaussianProcess(metamodel_kinds.WithinExtent):
-    """grid: fitted coefficients; hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient; regressors:
-    scikit-learn's, one of each.
-    """
+    """hyper (8, 4) [-]: a, l_w, l_s, n of every coefficient of the *grid*, *regressors*: scikit-learn's."""
 
     grid: metamodel_kinds.Grid
     extent: metamodel_kinds.Extent
@@ -74,9 +70,7 @@ class GaussianProcess(metamodel_kinds.WithinExtent):
     def of(
         cls, grid: metamodel_kinds.Grid, hyper: FloatArray, search: Callable[..., Any] | None = None
     ) -> GaussianProcess:
-        """The process of a grid with given *hyper* (8, 4) [-]: a, l_w, l_s, n of every coefficient. A
-        *search* starts from them.
-        """
+        """The process of a grid with *hyper* (8, 4) [-], from which a *search* starts."""
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
         extent = metamodel_kinds.Extent.of(grid)
@@ -108,18 +102,14 @@ class GaussianProcess(metamodel_kinds.WithinExtent):
         )
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         coded = self.extent.coded(load, speed)
         return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard errors of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds
-        [rad/s].
-        """
+        """Of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds [rad/s]."""
         coded = self.extent.coded(load, speed)
-        return np.stack(
-            [regressor.predict(coded, return_std=True)[1] for regressor in self.regressors], axis=-1
-        )
+        return np.stack([one.predict(coded, return_std=True)[1] for one in self.regressors], axis=-1)
 
     def to_entries(self) -> dict[str, Any]:
         return {
@@ -143,14 +133,12 @@ def fit_process(
     grid: metamodel_kinds.Grid,
     seed: int = 0,  # noqa: ARG001 one signature for all kinds
 ) -> GaussianProcess:
-    """Deterministic: a descent of the four hyperparameters of each coefficient from the medians of their
-    priors. Equation (run-process).
-    """
+    """A descent of the hyperparameters from the medians of their priors. Equation (run-process)."""
     return GaussianProcess.of(grid, np.tile([median for median, _ in HYPER], (8, 1)), _likeliest)
 
 
 def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) -> tuple[FloatArray, float]:
-    """(parameters, cost): ln a^2, l_w, l_s, n^2 (4,) of the largest likelihood times priors."""
+    # Of ln a^2, l_w, l_s, n^2.
     powers = np.array([2.0, 1.0, 1.0, 2.0])
     medians, deviations = np.array(HYPER).T
     middle, spread = powers * np.log(medians), powers * deviations
@@ -166,9 +154,7 @@ def _likeliest(cost: Callable[..., Any], start: FloatArray, bounds: FloatArray) 
 
 @dataclass(frozen=True)
 class Network(metamodel_kinds.WithinExtent):
-    """*repeats*: layers of each; middle, deviation (8,) [N/m, N s/m] of the outputs; n_converged: repeats
-    whose training converged.
-    """
+    """Layers of all *repeats*, of which n_converged; middle, deviation (8,) [N/m, N s/m] of the outputs."""
 
     extent: metamodel_kinds.Extent
     repeats: tuple[Layers, ...]
@@ -189,11 +175,7 @@ class Network(metamodel_kinds.WithinExtent):
         )
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients of every repeat, (n_repeat, n_point, 8) [N/m, N s/m], at loads [N] and speeds [rad/s]
-        (n_point,).
-
-        Equation (run-network).
-        """
+        """(n_repeat, n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]. Equation (run-network)."""
         coded = self.extent.coded(load, speed)
         scaled = [
             np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
@@ -201,13 +183,11 @@ class Network(metamodel_kinds.WithinExtent):
         return np.asarray(self.middle + self.deviation * np.array(scaled))
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]: the mean of the
-        repeats.
-        """
+        """The mean of the repeats (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Standard deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single repeat."""
+        """Deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single one."""
         repeats = self.repeat_predictions(load, speed)
         if len(self.repeats) < 2:
             return np.full(repeats.shape[1:], np.nan)
@@ -276,15 +256,8 @@ METAMODELS: dict[str, Callable[[metamodel_kinds.Grid, int], Metamodel]] = {
     "process": fit_process,
     "network": fit_network,
 }
-READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
-    model_class.kind: model_class.from_entries
-    for model_class in (
-        metamodel_kinds.ResponseSurface,
-        GaussianProcess,
-        Network,
-        metamodel_kinds.PhysicalFit,
-    )
-}
+CLASSES = (metamodel_kinds.ResponseSurface, GaussianProcess, Network, metamodel_kinds.PhysicalFit)
+READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {one.kind: one.from_entries for one in CLASSES}
 
 
 class Metamodel(TabulatedCoefficients, Protocol):
@@ -297,7 +270,7 @@ class Metamodel(TabulatedCoefficients, Protocol):
     @property
     def statement(self) -> str: ...
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Their standard errors (n_point, 8) [N/m, N s/m]."""
+        """(n_point, 8) [N/m, N s/m]."""
         ...
 
     def to_entries(self) -> dict[str, Any]: ...
@@ -321,7 +294,7 @@ def from_entries(entries: Mapping[str, Any]) -> Metamodel:
 
 
 def caution(model: Metamodel, load: float) -> str:
-    """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
+    """Warning on a *load* [N] beyond those of the fit, or empty."""
     beyond, scope = outside(load, *model.extent.loads, "this metamodel"), "does not cover extrapolation"
     if model.kind in ("physical", "process"):
         scope = "is valid under its assumptions only"
@@ -340,13 +313,12 @@ def leave_one_load_out(
     physical: Callable[[float], Metamodel] | None = None,
     seed: int = 0,
 ) -> dict[str, list[LeftOut]]:
-    """Leave-one-load-out validation of every kind, against the grid's coefficients at that load. *physical*:
-    the physical fit without a load, see `physical_without`. Where a fit fails, the row states the reason.
+    """Every kind, and the *physical* fit (`physical_without`), without each load in turn, against the grid's
+    coefficients there; a row states why a fit fails.
     """
     kinds = tuple(kinds)
-    rows: dict[str, list[LeftOut]] = {
-        kind: [] for kind in (*kinds, *([metamodel_kinds.PhysicalFit.kind] if physical else []))
-    }
+    every = (*kinds, *([metamodel_kinds.PhysicalFit.kind] if physical else []))
+    rows: dict[str, list[LeftOut]] = {kind: [] for kind in every}
     for load in grid.loads:
         fits = {kind: partial(_without, grid, load, kind, seed) for kind in kinds}
         if physical is not None:

@@ -1,6 +1,4 @@
-"""Identification methods of journal coefficients, each with its uncertainty and its prediction for every
-run.
-"""
+"""Identification methods of journal coefficients, with their uncertainty and predictions."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_amplitudes, perfect_but_wrong
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import column, motions
-from labpipe.methods.run_ups.metamodel_kinds import Queried
+from labpipe.methods.run_ups.metamodel_kinds import SAME_LOAD, Queried
 from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, sources_of
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.rotor import PARAMETERS, RPM, RunUpRotor, as_eight
@@ -37,10 +35,8 @@ PEAK_STEP, PEAK_POINTS = 8 * RPM, 16
 @dataclass(frozen=True)
 class AtLoad:
     """Prediction of a method at one load: K and C over speed, coefficients and their errors (n_speed, 8)
-    [N/m, N s/m] at the run's speeds.
-
-    critical (at a plane, '' the last one), threshold: with their errors, where the method has them; else they
-    are computed from *at_speed*.
+    [N/m, N s/m] at the run's speeds; critical (at a plane, '' the last one) and threshold, with their errors,
+    where they are not computed from *at_speed*.
     """
 
     at_speed: CoefficientsAtSpeed
@@ -52,7 +48,7 @@ class AtLoad:
 
 
 def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
-    """The rotor with a run's unbalance; unchanged where it is the rotor file's."""
+    """The rotor with a run's unbalance."""
     known, sizes = rig.known_unbalance, run.unbalance
     same = known.keys() == sizes.keys() and all(
         abs(size - known[plane]) <= 1e-9 * abs(size) for plane, size in sizes.items()
@@ -66,7 +62,7 @@ def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
 
 
 def excited_as(rig: RunUpRotor, runs: Iterable[records.RunUp]) -> RunUpRotor:
-    """The rotor with the unbalance of the first of *runs* that has one, where its file states none."""
+    """The rotor with its own unbalance, or that of the first of *runs* that has one."""
     stated = [run for run in runs if run.shaker is None]
     return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])
 
@@ -74,9 +70,7 @@ def excited_as(rig: RunUpRotor, runs: Iterable[records.RunUp]) -> RunUpRotor:
 def predict(
     rig: RunUpRotor, run: records.RunUp, solution: AtLoad | str, plane: str, curves: bool = True
 ) -> records.RunPrediction:
-    """Prediction of a method for one run, reasons of missing values in its notes. *rig*: the rotor with the
-    run's unbalance.
-    """
+    """Prediction of a method for one run on the *rig* with its unbalance; notes say what is missing."""
     if isinstance(solution, str):
         return records.RunPrediction(run.name, None, None, notes=(solution,))
     notes = list(solution.notes)
@@ -121,17 +115,14 @@ def _drawn_speeds(
     run: records.RunUp, threshold: records.Amount | None, critical: records.Amount | None
 ) -> FloatArray:
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
-    speed = np.linspace(
-        run.speed[0], max(last, run.speed[0]), max(2, round((last - run.speed[0]) / CURVE_STEP) + 1)
-    )
+    first = run.speed[0]
+    speed = np.linspace(first, max(last, first), max(2, round((last - first) / CURVE_STEP) + 1))
     if critical is None:
         return speed
     about = critical.value + np.arange(-PEAK_POINTS, PEAK_POINTS + 1) * PEAK_STEP
     return np.union1d(speed, about[(about > speed[0]) & (about < speed[-1])])
 
 
-BOUND = 0.3
-RIDGE = 0.15
 MOST_STEPS = 60
 TOLERANCE = 1e-6
 LEAST_DAMPING = 1e-9
@@ -139,8 +130,8 @@ LEAST_DAMPING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class PointFit(SpeedwiseFit):
-    """std_error (n_speed, 8) [N/m, N s/m], with the uncertainties of probes, NaN at a bound; n_effective:
-    parameters that the data determine.
+    """std_error (n_speed, 8) [N/m, N s/m], probes included, NaN at a bound; n_effective: parameters that the
+    data determine.
     """
 
     std_error: FloatArray
@@ -151,11 +142,9 @@ PointFits = Sequence[PointFit] | Sequence[AmplitudeFit]
 
 
 def fit_points(
-    rig: RunUpRotor, runs: Iterable[records.RunUp], bound: float = BOUND, ridge: float = RIDGE
+    rig: RunUpRotor, runs: Iterable[records.RunUp], bound: float = 0.3, ridge: float = 0.15
 ) -> list[PointFit]:
-    """One PointFit per load; *bound* and *ridge* are parts of the coefficients' sizes (see `scales`).
-    Equation (run-points).
-    """
+    """One PointFit per load; *bound* and *ridge* in parts of the `scales`. Equation (run-points)."""
     return [_fit_load(rig, group, bound, ridge) for group in runs_by_load(rig, runs)]
 
 
@@ -194,7 +183,7 @@ def _normal(slopes: FloatArray) -> FloatArray:
 
 
 def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float, ridge: float) -> FloatArray:
-    """The minimum of every point (n_speed, 8), damped where a step does not lower its sum of squares."""
+    """Of every point (n_speed, 8), damped where a step does not lower its sum of squares."""
     parts, damping = np.zeros_like(start), np.full(start.shape[0], 1e-6)
     residual, slopes = group.residual_and_slopes(start)
     cost = _cost(residual, parts, ridge)
@@ -246,23 +235,20 @@ def _step(
     return np.clip(parts + step, -bound, bound)
 
 
-SAME_LOAD = 1e-6
 BEYOND = "above the last measured speed K and Omega C stay constant: its threshold is extrapolated"
 WITHOUT_INTERVAL = (
     "chi-square rejects the fit: critical speed, threshold and coefficients are values without an interval"
 )
 ELSEWHERE = "its coefficients exist at the fitted loads only; a metamodel extends them to this load"
 
-# Prediction of a method for a run, on a rotor with the run's unbalance; the reason, as text, where there is
-# none.
+# Prediction for a run, on a rotor with its unbalance, or why there is none.
 Predictor = Callable[[RunUpRotor, records.RunUp], AtLoad | str]
 
 
 @dataclass(frozen=True)
 class Solved:
-    """A fitted method: its record without predictions, its predictor, and the fits for metamodels.
-
-    fits: one per load, at measured speeds only; anywhere: a fit at any load.
+    """A fitted method: its record without predictions, its predictor; for metamodels its *fits* of every load
+    at measured speeds, or one *anywhere*.
     """
 
     method: records.RunUpMethod
@@ -277,9 +263,8 @@ def start() -> Solved:
     def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
         return AtLoad(run_rig.start(run.load), as_eight(*run_rig.start_coefficients(run.load, run.speed)))
 
-    return Solved(
-        records.RunUpMethod(records.START, "original (start)", "not fitted", predictions=(), unknowns=0), at
-    )
+    title, verdict = "original (start)", "not fitted"
+    return Solved(records.RunUpMethod(records.START, title, verdict, predictions=(), unknowns=0), at)
 
 
 def solve_amplitudes(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
@@ -359,14 +344,14 @@ def joint_method(name: str, title: str, fit: JointFit) -> records.RunUpMethod:
     )
 
 
+NUMBERS = ("condition", "chi2_per_datum", "chi2_p", "n_datum", "n_effective")
+
+
 def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
     return {
         "verdict": records.REJECTED if fit.rejected else "not rejected",
         "predictions": (),
-        **{
-            name: getattr(fit, name)
-            for name in ("condition", "chi2_per_datum", "chi2_p", "n_datum", "n_effective")
-        },
+        **{name: getattr(fit, name) for name in NUMBERS},
     }
 
 
@@ -379,9 +364,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
 
 
 def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Parameter:
-    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each uncertainty of
-    the probes, largest first.
-    """
+    """The parameter with its *combined* error [1] in parts: of noise and priors, and of each source."""
     scale = 1.0 if parameter.name in EXPONENTS else parameter.value
     changes = scale * fit.systematic[:, PARAMETERS.index(parameter.name)]
     systematic = float(np.sqrt(np.sum(changes**2)))
@@ -409,8 +392,6 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
 
 
 def _joint_at(fit: JointFit | ProcessFit) -> Predictor:
-    """Predictions at any load, without errors for a fit that chi-square rejects."""
-
     def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
         run_fit = replace(fit, rig=run_rig)
         eight, error = fit.coefficients(run.load, run.speed)
@@ -464,12 +445,8 @@ def _of_points(fits: PointFits) -> dict[str, Any]:
 
 def _cap(fits: Sequence[AmplitudeFit]) -> list[str]:
     capped, every = sum(int(fit.capped.sum()) for fit in fits), sum(fit.speed.size for fit in fits)
-    if not capped:
-        return []
-    most = max(int(fit.evaluations.max()) for fit in fits)
-    return [
-        f"{capped} of {every} searches ended at the limit of {most} evaluations, not at the smallest mesh."
-    ]
+    limit = f"the limit of {max(int(fit.evaluations.max()) for fit in fits)} evaluations"
+    return [f"{capped} of {every} searches ended at {limit}, not at the smallest mesh."] if capped else []
 
 
 def _spreads(
@@ -479,14 +456,9 @@ def _spreads(
         return ()
     loads = sorted({run.load for run in runs})
     middle = loads[len(loads) // 2]
-    (fit,) = fit_amplitudes(
-        rig,
-        [run for run in runs if run.load == middle],
-        settings.bound,
-        settings.search,
-        settings.starts,
-        settings.seed,
-    )
+    of_middle = [run for run in runs if run.load == middle]
+    search = settings.search, settings.starts, settings.seed
+    (fit,) = fit_amplitudes(rig, of_middle, settings.bound, *search)
     points = dict.fromkeys([int(np.argmax(fit.measured)), fit.speed.size - 1])
     spreads = []
     for point in points:

@@ -24,7 +24,7 @@ from labpipe.records.uncertain import Uncertainty
 
 @dataclass(frozen=True)
 class ExcitedRun:
-    """A run and the rotor condensed under its excitation, computed once per fit."""
+    """A run and the rotor condensed under its excitation."""
 
     run: RunUp
     condensed: CondensedRotor
@@ -39,19 +39,16 @@ class ExcitedRun:
         return 4 * len(self.run.planes)
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(computed - measured) / standard error, (n_speed, n_equation), and its derivatives (n_speed,
-        n_equation, 8) by *coefficients* (n_speed, 8) [N/m, N s/m]. Equation (run-weights).
+        """(computed - measured) / error, (n_speed, n_equation), and its derivatives (n_speed, n_equation, 8)
+        by *coefficients* (n_speed, 8) [N/m, N s/m]. Equation (run-weights).
         """
         response, slopes = self.condensed.response_and_slopes(*as_matrices(coefficients))
         weighted = self._weight(np.moveaxis(slopes, -1, 0))
         return self._weight(response - self._measured), np.moveaxis(weighted, 0, -1)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] of the residual by one standard uncertainty of each of
-        the *sources*.
-        """
-        changes = self.run.changes()
-        none = np.zeros_like(self.run.response)
+        """Changes (n_source, n_speed, n_equation) [-] of the residual by an uncertainty of each *source*."""
+        changes, none = self.run.changes(), np.zeros_like(self.run.response)
         rows = [self._weight(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
         return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
 
@@ -78,36 +75,28 @@ class LoadRuns:
     runs: tuple[ExcitedRun, ...]
 
     def residual_and_slopes(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual (n_speed, n_equation) [-] of all runs, derivatives (n_speed, n_equation, 8) by
-        *coefficients* [N/m, N s/m].
-        """
+        """As of a run, over the equations of all, (n_speed, n_equation) [-] and (n_speed, n_equation, 8)."""
         parts = [run.residual_and_slopes(coefficients) for run in self.runs]
         residuals, slopes = zip(*parts, strict=True)
         return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
 
     def residual(self, model: CoefficientFamily, values: FloatArray) -> Residual:
-        """Of all runs (n,) [1] with coefficients of a family at its parameters *values* (n_parameter,), and
-        derivatives by these (n, n_parameter).
-        """
+        """(n,) [1] by a family at *values* (n_parameter,), and derivatives by these (n, n_parameter)."""
         load = np.full(self.speed.size, self.load)
         eight, by_parameter = model.coefficients_and_slopes(values, load, self.speed)
         residual, slopes = self.residual_and_slopes(eight)
         return residual.ravel(), lambda: (slopes @ by_parameter).reshape(-1, values.size)
 
     def residual_changes(self, sources: Sequence[str]) -> FloatArray:
-        """Changes (n_source, n_speed, n_equation) [-] of the residual of all runs by one standard uncertainty
-        of each source.
-        """
+        """As of each run, over the equations of all, (n_source, n_speed, n_equation) [-]."""
         return np.concatenate([run.residual_changes(sources) for run in self.runs], axis=2)
 
 
 def sources_of(groups: Iterable[LoadRuns]) -> tuple[Uncertainty, ...]:
     """The uncertainties of the probes of all runs, each source once."""
     uncertainties: dict[str, Uncertainty] = {}
-    for group in groups:
-        for run in group.runs:
-            for error in run.run.uncertainties:
-                uncertainties.setdefault(error.uncertainty.source, error.uncertainty)
+    for error in (error for group in groups for run in group.runs for error in run.run.uncertainties):
+        uncertainties.setdefault(error.uncertainty.source, error.uncertainty)
     return tuple(uncertainties.values())
 
 
@@ -117,9 +106,7 @@ def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
 
 
 def runs_by_speeds(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:
-    """The runs grouped by load and speeds, in order: for a fit over all speeds, whose runs need share
-    none.
-    """
+    """The runs grouped by load and speeds, in order: for a fit whose runs need share no speed."""
     return _group(rig, runs, lambda run: (run.load, run.speed.tobytes()))
 
 
@@ -156,18 +143,17 @@ def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
 
 
 def scales(start: FloatArray) -> FloatArray:
-    """Unit of change of every coefficient, (..., 8) [N/m, N s/m], of start values (..., 8).
-
-    Absolute start value, at least a fifth of the mean direct coefficient, because K_yx crosses zero.
+    """Unit of change (..., 8) [N/m, N s/m] of every coefficient: its size in *start* (..., 8), at least a
+    fifth of the mean direct one, because K_yx crosses zero.
     """
     mean = np.sqrt(np.abs(start[..., [0, 4]] * start[..., [3, 7]]))
     return np.maximum(np.abs(start), 0.2 * np.repeat(mean, 4, axis=-1))
 
 
 def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatArray:
-    """Derivatives (..., n_plane, 8) of the planes' largest displacements, from outputs (..., n_output) [m]
-    and their slopes. slopes (..., n_output, 8): of the outputs, by the coefficients [N/m, N s/m]. d |f| =
-    Re(f* df) / |f| for both circles f = X +- jY of the orbit.
+    """Derivatives (..., n_plane, 8) of the planes' largest displacements by the coefficients [N/m, N s/m],
+    from outputs (..., n_output) [m] and their slopes (..., n_output, 8): d |f| = Re(f* df) / |f| of both
+    circles f = X +- jY.
     """
     planes = response.reshape(*response.shape[:-1], -1, 2)
     by = slopes.reshape(*planes.shape, slopes.shape[-1])
@@ -180,7 +166,7 @@ def displacement_slopes(response: ComplexArray, slopes: ComplexArray) -> FloatAr
 
 
 def unseen_combinations(slopes: FloatArray, names: Sequence[str] = COEFFICIENTS) -> tuple[str, ...]:
-    """Null space of a Jacobian (n_equation, n_parameter) [-] as text, one entry per direction."""
+    """Null space of a Jacobian (n_equation, n_parameter) [-] in words, one entry per direction."""
     _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
     whole = np.zeros(rows.shape[0])
     whole[: singular.size] = singular
@@ -205,20 +191,17 @@ WORDS = {
     8: "all eight coefficients are determined",
 }
 ADVICE = "a second unbalance run adds no rank, a non-rotating shaker run does"
+OF_SHAKER = "a run under an unbalance adds rank, and so does a shaker run in another direction"
 
 
 def rank_statements(
     rig: RunUpRotor, load: float, speed: float, coefficients: FloatArray | None = None
 ) -> tuple[RankRow, ...]:
-    """The four statements for amplitudes, complex amplitudes, a second unbalance, and a shaker, at one *load*
-    [N] and *speed* [rad/s].
-
-    *coefficients* (8,) [N/m, N s/m]: about which, those of the rotor file unless given.
+    """The statements for amplitudes, phasors, a second unbalance, and a shaker, at one *load* [N] and *speed*
+    [rad/s], about *coefficients* (8,) [N/m, N s/m], or those of the rotor file.
     """
     place = np.array([speed])
-    eight = as_eight(*rig.start_coefficients(load, place))
-    if coefficients is not None:
-        eight = np.asarray(coefficients, np.float64)[None]
+    eight = as_eight(*rig.start_coefficients(load, place)) if coefficients is None else coefficients[None]
     unit = scales(eight)[0]
     # Of runs under a shaker alone no unbalance is known; its size says nothing of ranks.
     unbalance = rig.known_unbalance or {rig.plane_names[0]: 1.0 + 0j}
@@ -237,9 +220,7 @@ def rank_statements(
 
 
 def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, speed: float) -> RankRow:
-    """The statement for the *runs* at hand (of one load, at one speed), with *advice* where a second
-    unbalance adds no rank.
-    """
+    """The statement for the *runs* of one load at one speed."""
     runs = list(runs)
     place = np.array([speed])
     eight = as_eight(*rig.start_coefficients(load, place))
@@ -247,8 +228,9 @@ def measured_statement(rig: RunUpRotor, runs: Iterable[RunUp], load: float, spee
     acting = [(run.unbalance if run.shaker is None else None, run.shaker) for run in runs]
     parts = [_slopes(rig, place, eight, *of_run) * unit for of_run in acting]
     named = ", ".join(run.name for run in runs)
-    without_shaker = len(runs) > 1 and all(run.shaker is None for run in runs)
-    return _statement(named, np.concatenate(parts), ADVICE if without_shaker else "")
+    shaken = [run.shaker is not None for run in runs]
+    advice = OF_SHAKER if all(shaken) else ADVICE if len(runs) > 1 and not any(shaken) else ""
+    return _statement(named, np.concatenate(parts), advice)
 
 
 def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
@@ -260,7 +242,7 @@ def _statement(source: str, slopes: FloatArray, advice: str = "") -> RankRow:
 
 
 def _slopes(rig: RunUpRotor, *excitation: Any) -> FloatArray:
-    _, slopes = _response(rig, *excitation)
+    slopes = _response(rig, *excitation)[1]
     return np.concatenate([slopes.real, slopes.imag])
 
 

@@ -18,10 +18,11 @@ from labpipe.cli.output import echo
 from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
-from labpipe.methods.run_ups.measured import run_up_of
+from labpipe.methods.run_ups.measured import added_since, run_up_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.measured import file_stems
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
 from labpipe.records.recording import Channel
@@ -37,6 +38,8 @@ MOST_ORBITS = 8
 MOST_COLUMNS = 4
 # Room above the amplitudes for their names, and above the limit of a gap.
 LEGEND_ROOM, LIMIT_ROOM = 1.3, 1.15
+# Share of the gap beyond which an orbit is reported, unless stated.
+LIMIT = 0.2
 # Relative change below which a speed counts as constant.
 STEADY = 1e-3
 
@@ -160,7 +163,6 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> chart.Pan
 
 
 def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
-    """Amplitudes without the slow roll over speed, critical speeds with their intervals, operating speeds."""
     unit, factor = _unit(quantity)
     series: list[chart.Series] = []
     for number, label in enumerate(verdict.probes):
@@ -191,19 +193,13 @@ def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
 Column = tuple[str, FloatArray]
 
 
-@dataclass(frozen=True)
-class Clearance:
-    """The radial *gap* of the bearings [m], and the *limit* of a motion as a share of it."""
-
-    gap: float
-    limit: float
+# The radial gap of the bearings [m], and the limit of a motion as a share of it.
+Clearance = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """An order over a run of *channels*, and in forward and backward circles for every plane with two
-    responses in known directions. *clearance*: gap that orbits are compared with, if any.
-    """
+    """An order over a run of *channels*, and in circles of every plane; *clearance* for its orbits."""
 
     name: str
     channels: tuple[Channel, ...]
@@ -213,7 +209,6 @@ class TrackedRun:
 
     @property
     def probes(self) -> tuple[tuple[str, str], ...]:
-        """Name and quantity of every response."""
         return tuple((c.name, c.quantity) for c in self.channels if c.role == "output")
 
     @property
@@ -238,8 +233,8 @@ def track_run(
     clearance: Clearance | None = None,
     suffix: str = "",
 ) -> TrackedRun:
-    """The order of a raw file (with its rig), its recording written with a *suffix*, or of a calibrated
-    recording. ConfigError for a gap where no plane moves in it.
+    """The order of a raw file (with its rig), its recording written with a *suffix*, or of a calibrated one.
+    ConfigError for a gap where no plane moves in it.
     """
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", source, "add -r RIG")
@@ -257,13 +252,13 @@ def track_run(
 def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFolder) -> list[str]:
     _write_table(run, output.write_path("orders.csv"))
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
+    stems = file_stems((plane.name for plane in run.track.planes), "planes")
     for circles in run.circles:
         (plane,) = circles.planes
-        place = f"-{plane.name}" if plane.name else ""
+        place = f"-{stems[plane.name]}" if plane.name else ""
         figures[f"orbits{place}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
-    if run.clearance is not None:
-        gap, limit = run.clearance.gap, run.clearance.limit
-        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, gap, limit)
+    if run.clearance:
+        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, *run.clearance)
     entries = {}
     if verdict is not None:
         entries["judgement.json"] = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
@@ -274,16 +269,20 @@ def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFold
     return ["orders.csv", *texts]
 
 
-def run_up_table(run: TrackedRun, load: float, unbalance: Mapping[str, complex]) -> RunUp:
-    """The order 1 of every plane; ConfigError for a plane without a name."""
+def run_up_table(
+    run: TrackedRun, load: float, unbalance: Mapping[str, complex], before: TrackedRun | None = None
+) -> RunUp:
+    """The 1x of every plane, less that of the run *before*; ConfigError for a plane without a name."""
     if any(not plane.name for plane in run.track.planes):
         hint = "dof: disc1.x and dof: disc1.y in the rig file"
         raise ConfigError("--save-run-up: the plane of the responses has no name", hint=hint)
-    return run_up_of(run.track, run.channels, run.name, load, unbalance)
+    table = run_up_of(run.track, run.channels, run.name, load, unbalance)
+    if before is None:
+        return table
+    return added_since(run_up_of(before.track, before.channels, before.name, load, unbalance), table)
 
 
 def write_run_up(table: RunUp, path: Path) -> str:
-    """Write a run-up table, complete or absent; what is in it."""
     with output_file(path) as target:
         write_run_up_csv(target, table)
     text = f"{path}, {table.n_speed} speeds"
@@ -292,7 +291,6 @@ def write_run_up(table: RunUp, path: Path) -> str:
 
 
 def order_lines(run: TrackedRun) -> Iterator[str]:
-    """The largest amplitudes, and orbits against the gap."""
     unit, factor = _unit(run.quantity)
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):
@@ -304,7 +302,7 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
             yield line
     if run.clearance is None:
         return
-    gap, share = run.clearance.gap, run.clearance.limit
+    gap, share = run.clearance
     limit = f"{100 * share:g} %"
     for number, plane in enumerate(run.track.planes):
         orbit = run.track.orbit[:, number]
@@ -338,7 +336,6 @@ def _write_table(run: TrackedRun, path: Path) -> None:
 
 
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:
-    """Half axis |f| + |b| of the order, largest distance of the whole motion, also per gap."""
     (plane,) = circles.planes
     whole = circles.orbit[:, 0]
     columns = {
@@ -348,7 +345,7 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
         "centreline_y": circles.mean[:, 1],
     }
     if clearance is not None:
-        columns["orbit_per_gap"] = whole / clearance.gap
+        columns["orbit_per_gap"] = whole / clearance[0]
     return [(plane.labelled(name), values) for name, values in columns.items()]
 
 
@@ -363,37 +360,42 @@ def track_and_write(
     harmonics: int,
     revolutions: int,
     gap: str | None,
-    limit: str,
+    limit: str | None,
     save_run_up: Path | None,
     load: str | None,
     unbalance: tuple[str, ...],
     quiet: bool,
-    slow_roll: str | None = None,
-    speed_range: str | None = None,
-    baseline: Path | None = None,
-    centreline: bool = False,
+    slow_roll: str | None,
+    speed_range: str | None,
+    baseline: Path | None,
+    centreline: bool,
 ) -> int:
     slow, operating = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
     is_judged, is_saved = any((slow, operating, baseline)), save_run_up is not None
     _check_options(order, is_judged, is_saved, load, unbalance)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
     conditions = _run_conditions(load, unbalance) if is_saved else None
-    added = _stated_unbalance(unbalance, baseline is not None)
+    added = _stated_unbalance(unbalance, baseline is not None, is_saved)
     rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
-        table = None if conditions is None else run_up_table(run, *conditions)
-        others = None
+        if centreline and not run.circles:
+            raise ConfigError("--centreline: there is no plane", hint="dof: front.x and front.y")
+        before = None
         if baseline is not None:
             before = track_run(baseline, rig, lines, order, revolutions, folder, suffix="-baseline")
             if before.probes != run.probes:
                 hint = "record both with one rig"
                 raise ConfigError("--baseline: its responses are not those of the run", baseline, hint)
-            others = before.track
+        table = None if conditions is None else run_up_table(run, *conditions, before)
         verdict = None
         if is_judged:
             verdict = judge(
-                run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=others
+                run.track,
+                slow_roll=slow,
+                speed_range=operating,
+                unbalance=added,
+                baseline=None if before is None else before.track,
             )
         names = write_tracked(run, verdict, folder)
         saved = ""
@@ -434,33 +436,30 @@ def _band(option: str, text: str | None) -> tuple[float, float] | None:
 
 @contextmanager
 def _option(option: str) -> Iterator[None]:
-    """A value that cannot be read is a fault of the option."""
     try:
         yield
     except UnitError as error:
         raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
 
 
-def _stated_unbalance(texts: tuple[str, ...], since: bool) -> float:
-    """Stated unbalance [kg m] that the motion answers, else 0; ConfigError since a baseline."""
+def _stated_unbalance(texts: tuple[str, ...], since: bool, is_saved: bool) -> float:
+    """The one unbalance [kg m] that the motion answers, else 0; ConfigError where a baseline needs it."""
     if len(texts) == 1:
         return abs(_unbalances(texts).popitem()[1])
-    if since:
+    if since or (texts and not is_saved):
         hint = "--unbalance 'disc 1=50 g.mm at 0 deg'"
-        raise ConfigError("--baseline: sensitivity is to one stated unbalance", hint=hint)
+        raise ConfigError("sensitivity is to one stated unbalance", hint=hint)
     return 0.0
 
 
 def _centreline(run: TrackedRun) -> Iterator[str]:
-    """How far the mean position moved in every plane from the lowest to the highest speed."""
     unit, factor = _unit(run.quantity)
     first, last = int(np.argmin(run.track.speed)), int(np.argmax(run.track.speed))
     for circles in run.circles:
         (plane,) = circles.planes
         x, y = circles.mean[last] - circles.mean[first]
-        moved, share = float(np.hypot(x, y)), ""
-        if run.clearance is not None:
-            share = f", {100 * moved / run.clearance.gap:.3g} % of the gap"
+        moved = float(np.hypot(x, y))
+        share = f", {100 * moved / run.clearance[0]:.3g} % of the gap" if run.clearance else ""
         yield (
             f"{plane.name:<8} centreline moved by {factor * moved:.4g} {unit} at "
             f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
@@ -469,7 +468,6 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
 
 
 def judgement_lines(verdict: Judgement, quantity: str) -> Iterator[str]:
-    """Slow roll, critical speeds with their margins and decisions, sensitivities."""
     unit, factor = _unit(quantity)
     if verdict.slow_roll is not None:
         for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True):
@@ -500,19 +498,18 @@ def _ends(estimate: Estimate, factor: float = 1.0) -> str:
 
 
 def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
-    """The judgement as `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
+    """As `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
+    slow_roll = None
+    if verdict.slow_roll is not None:
+        vectors = zip(verdict.probes, verdict.slow_roll.tolist(), strict=True)
+        slow_roll = {label: {"re": vector.real, "im": vector.imag} for label, vector in vectors}
     return {
         "schema": "labpipe/run-up-judgement/1",
         "quantity": quantity,
         "accepted": verdict.accepted,
         "not_run": verdict.not_run,
         "speed_range_hz": verdict.speed_range,
-        "slow_roll": None
-        if verdict.slow_roll is None
-        else {
-            label: {"re": float(vector.real), "im": float(vector.imag)}
-            for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True)
-        },
+        "slow_roll": slow_roll,
         "critical_speeds": [asdict(peak) for peak in verdict.peaks],
         "sensitivities": [asdict(sensitivity) for sensitivity in verdict.sensitivities],
     }
@@ -537,11 +534,16 @@ def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
     return unbalances
 
 
-def _clearance(gap: str | None, limit: str) -> Clearance | None:
-    share, length = _value("--limit", limit, "1"), _value("--gap", gap, "m")
-    if any(number is not None and number <= 0 for number in (share, length)):
+def _clearance(gap: str | None, limit: str | None) -> Clearance | None:
+    length, share = _value("--gap", gap, "m"), _value("--limit", limit, "1")
+    if length is None:
+        if share is not None:
+            raise ConfigError("--limit belongs to --gap", hint="leave it out")
+        return None
+    share = LIMIT if share is None else share
+    if not (length > 0 and share > 0):
         raise ConfigError("--gap and --limit must be positive")
-    return None if length is None or share is None else Clearance(length, share)
+    return length, share
 
 
 def _value(option: str, text: str | None, unit: str) -> float | None:

@@ -5,13 +5,12 @@ g_i(W, Omega), i one of the eight coefficients, are independent with mean zero a
     k = s^2 exp(-((W - W') / l_W)^2 / 2 - ((Omega - Omega') / l_Omega)^2 / 2)
 
 (Rasmussen and Williams 2006, eq. 5.1). Between the places of the data they are g_i = b(W, Omega) z_i, z of
-unit variance a priori, b from the eigenvectors of k over these places; the remaining variance elsewhere is
+unit variance a priori, b from the eigenvectors of k over these places; the rest of the variance is
 *unexplained*.
 
-Minimises |r|^2 + sum ((Omega_th - Omega_meas) / s)^2 + sum (p / prior)^2 + sum z^2 over the family's twelve
-parameters p and the fields' z (see `process_field`), started at the joint fit. Size and lengths of the fields
-maximise the marginal likelihood of the responses, linearised about the last minimum (Rasmussen and Williams
-2006, section 5.4.1), times log-normal priors of these three (HYPER).
+The cost of the joint fit plus sum z^2 is minimised over its parameters and z. Size and lengths maximise the
+marginal likelihood of the responses, linearised about the last minimum (section 5.4.1), times log-normal
+priors (HYPER).
 """
 
 from __future__ import annotations
@@ -56,19 +55,14 @@ class SquaredExponential:
     speed: float
 
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """k (n_first, n_second) [-] between places (n, 2) of load [N] and speed [rad/s].
-
-        Equation (run-field).
-        """
+        """k (n_first, n_second) [-] between places (n, 2) [N, rad/s]. Equation (run-field)."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
         return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
 
 
 @dataclass(frozen=True)
 class SmoothField:
-    """Fields of one *kernel* on the *places* (n_place, 2) [N, rad/s] of the data. *weights* (n_place,
-    n_mode): U / sqrt(eigenvalue).
-    """
+    """On *places* (n_place, 2) [N, rad/s] by a *kernel*; weights (n_place, n_mode): U / sqrt(eigenvalue)."""
 
     kernel: SquaredExponential
     places: FloatArray
@@ -76,7 +70,7 @@ class SmoothField:
 
     @classmethod
     def of(cls, kernel: SquaredExponential, places: FloatArray) -> SmoothField:
-        """The field of a *kernel* on the *places* (n_place, 2) [N, rad/s] of the data."""
+        """On the *places* (n_place, 2) [N, rad/s] of the data."""
         sizes, vectors = np.linalg.eigh(kernel.covariance(places, places))
         significant = sizes > LEAST_EIGENVALUE * sizes[-1]
         return cls(kernel, places, vectors[:, significant] / np.sqrt(sizes[significant]))
@@ -90,18 +84,14 @@ class SmoothField:
         return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
 
     def unexplained(self, places: FloatArray) -> FloatArray:
-        """Covariance (n_point, n_point) [-] of a field beyond its basis, at places (n_point, 2) [N,
-        rad/s].
-        """
+        """Covariance (n_point, n_point) [-] beyond the basis, at places (n_point, 2) [N, rad/s]."""
         basis = self.basis(places)
         return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
 
 
 @dataclass(frozen=True)
 class ProcessFamily:
-    """The coefficients of a *family* times exp(g_i); parameters: the family's twelve, then z (8, n_mode) row
-    by row.
-    """
+    """The coefficients of a *family* times exp(g_i); parameters: its twelve, then z (8, n_mode) by rows."""
 
     family: rotor.FilmFamily
     field: SmoothField
@@ -120,15 +110,13 @@ class ProcessFamily:
         self, values: FloatArray, load: FloatArray, speed: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """`coefficients` [N/m, N s/m] and their derivatives by all parameters, (n_point, 8, n_parameter)."""
-        film_eight, by_family = self.family.coefficients_and_slopes(
-            values[: len(rotor.PARAMETERS)], load, speed
-        )
+        of_family = values[: len(rotor.PARAMETERS)]
+        film_eight, by_family = self.family.coefficients_and_slopes(of_family, load, speed)
         factors = self.factors(values, load, speed)
         eight = film_eight * factors
         by_field = np.einsum("pi,ij,pm->pijm", eight, np.eye(8), self.field.basis(places_of(load, speed)))
-        return eight, np.concatenate(
-            [by_family * factors[..., None], by_field.reshape(*eight.shape, -1)], axis=-1
-        )
+        by_factors = by_field.reshape(*eight.shape, -1)
+        return eight, np.concatenate([by_family * factors[..., None], by_factors], axis=-1)
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
@@ -149,12 +137,12 @@ class ProcessFit(RunUpFit[ProcessFamily]):
 
     @cached_property
     def n_determined(self) -> int:
-        """Combinations that the data determine better than the priors do."""
+        """Combinations that the data tell better than the priors do."""
         return int(np.sum(np.linalg.svd(self.in_priors, compute_uv=False) > 1))
 
     @property
     def kernel(self) -> SquaredExponential:
-        """Size and lengths of the smooth factors, of maximum marginal likelihood."""
+        """Of the smooth factors."""
         return self.model.field.kernel
 
     @property
@@ -176,10 +164,8 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement under the known unbalance, at the last plane unless
-        named.
-
-        Its error from d Omega = -d(A') / A'', A the displacement at the peak and at a little to both sides.
+        """Speed [rad/s] of the largest displacement at a plane, or the last one; its error from d Omega =
+        -d(A') / A'', A the displacement at the peak and a little to both sides.
         """
         speed = self.rig.critical_speed(self.at_load(load), plane)
         step = PEAK_STEP * speed
@@ -196,9 +182,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s]. None when there is none up to twice the highest speed of the
-        search.
-        """
+        """Onset speed of instability [rad/s], if there is one within the search."""
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
@@ -209,7 +193,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
 
     def caution(self, load: float) -> str:
-        """Warning on a prediction at an extrapolated *load* [N]; empty within the loads of the fit."""
+        """Warning on a *load* [N] beyond those of the fit, or empty."""
         outside = self.extrapolated(load)
         return outside and (
             f"{outside}the smooth factors are extrapolated, and the interval assumes their correlation over "
@@ -217,7 +201,7 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         )
 
     def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
-        """Error of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
+        """Of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
         eight, slopes = self.with_slopes(load, speed)
         by_parameter = np.einsum("ni,nij->j", weights, slopes)
         by_field = weights * eight
@@ -228,15 +212,13 @@ class ProcessFit(RunUpFit[ProcessFamily]):
         return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
 
 
-# Medians and standard deviations of the logarithms of size, and of the lengths as parts of the ranges of load
-# and speed.
+# Medians and standard deviations of the logarithms of size, and of lengths over the ranges of load and speed.
 HYPER = ((0.15, 0.5), (0.8, 0.4), (0.4, 0.4))
 ROUNDS = 2
 # Tolerance of a minimum, in standard errors: curved valleys converge slowly.
 NEAR = 0.1
-# Factor on the lengths, because only four of eight combinations are measured. On virtual rigs with arbitrary
-# smooth factors the coefficients come nearer to the truth by a tenth to a third, and their intervals cover
-# it; without it they are too narrow.
+# Factor on the lengths, because only four of eight combinations are measured: without it intervals on virtual
+# rigs are too narrow.
 CAUTION = 0.7
 SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 
@@ -244,8 +226,8 @@ SEARCH = {"xatol": 0.02, "fatol": 0.05, "maxfev": 120}
 def fit_with_process(
     rig: rotor.RunUpRotor, runs: Iterable[RunUp], joint: JointFit | None = None, use_thresholds: bool = True
 ) -> ProcessFit:
-    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or from the
-    rotor file's bearing. FitError when no minimum is found.
+    """The fit with smooth factors on all eight coefficients, from a *joint* fit of the same runs or the rotor
+    file's bearing. FitError when no minimum is found.
     """
     runs = list(runs)
     rig = rotor.searched_over(rig, runs)
@@ -289,7 +271,7 @@ def _minimum(problem: Problem[ProcessFamily], start: FloatArray) -> tuple[FloatA
 
 
 def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
-    """The same fields in another basis, by least squares at the places of the data."""
+    """The same fields in another basis, by least squares."""
     n = len(rotor.PARAMETERS)
     field = old.basis(old.places) @ values[n:].reshape(8, -1).T
     basis = new.basis(new.places)
@@ -299,9 +281,9 @@ def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray
 
 @dataclass(frozen=True)
 class LinearData:
-    """Responses and thresholds, linear in the logarithms q (n_place, 8) [-] of the coefficients about a
-    minimum: r = A q - y. normal (n_place, 8, 8) and side (n_place, 8): A^T A and A^T y; by_family (n_place,
-    8, 12): q by the family's parameters.
+    """Responses and thresholds r = A q - y, linear in the logarithms q (n_place, 8) [-] of the coefficients:
+    normal (n_place, 8, 8) = A^T A, side (n_place, 8) = A^T y, by_family (n_place, 8, 12): q by its
+    parameters.
     """
 
     field: SmoothField
@@ -311,9 +293,7 @@ class LinearData:
 
     @classmethod
     def at(cls, problem: Problem[ProcessFamily], values: FloatArray, places: FloatArray) -> LinearData:
-        """Linearisation about parameters *values* (n_parameter,) [-], at the *places* (n_place, 2) [N, rad/s]
-        of the data.
-        """
+        """About parameters *values* (n_parameter,) [-], at *places* (n_place, 2) [N, rad/s]."""
         n = len(rotor.PARAMETERS)
         eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
@@ -326,20 +306,18 @@ class LinearData:
         return cls(problem.model.field, normal, side, by_family)
 
     def log_likelihood(self, field: SmoothField) -> float:
-        """Log likelihood of the data under another field, up to a constant: b^T M^-1 b / 2 - ln det M / 2, M
-        = 1 + B^T A^T A B.
+        """Of the data under another field, but for a constant: b^T M^-1 b / 2 - ln det M / 2 with M = 1 + B^T
+        A^T A B.
         """
         basis = field.basis(field.places)
         scaled = self.by_family * rotor.PRIOR
         corner = np.einsum("pia,pij,pjb->ab", scaled, self.normal, scaled)
         beside = np.einsum("pia,pij,pm->ajm", scaled, self.normal, basis).reshape(len(rotor.PARAMETERS), -1)
         weighted = np.einsum("pij,pm->ijpm", self.normal, basis).reshape(64, basis.shape[0], -1)
-        block = (
-            (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode).transpose(0, 2, 1, 3)
-        )
-        matrix = np.block([[corner, beside], [beside.T, block.reshape(beside.shape[1], -1)]]) + np.eye(
-            corner.shape[0] + beside.shape[1]
-        )
+        split = (weighted.swapaxes(1, 2) @ basis).reshape(8, 8, field.n_mode, field.n_mode)
+        block = split.transpose(0, 2, 1, 3).reshape(beside.shape[1], -1)
+        matrix = np.block([[corner, beside], [beside.T, block]])
+        matrix[np.diag_indices_from(matrix)] += 1
         side = np.concatenate([np.einsum("pia,pi->a", scaled, self.side), (self.side.T @ basis).ravel()])
         factor = np.linalg.cholesky(matrix)
         reduced = linalg.solve_triangular(factor, side, lower=True)

@@ -1,6 +1,4 @@
-"""Run-ups, and results of run-ups: measurements, predictions of every method at every load,
-identifiability.
-"""
+"""Run-ups and their results: measurements, predictions of every method, identifiability."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ DIRECTIONS = ("x", "y")
 
 @dataclass(frozen=True)
 class Shaker:
-    """A force that does not turn: *plane* where it acts, its components [N] and its frequency over the
-    shaft's speed.
-    """
+    """A force that does not turn: its *plane*, components [N], frequency over the shaft's speed."""
 
     plane: str
     x: float
@@ -32,9 +28,8 @@ class Shaker:
 
 @dataclass(frozen=True)
 class ProbeError:
-    """What an error of a probe or of the keyphasor does to a run: d w^power (matrix @ X) at every plane, X =
-    (x, y). uncertainty: of the number that errs by d [its unit]; matrix (n_plane, 2, 2) complex [1/unit of
-    the number], w the frequency of the response.
+    """What an error d of a probe or keyphasor does to a run: d w^power (matrix @ X) at every plane, X = (x,
+    y), w its frequency; *uncertainty* of d, matrix (n_plane, 2, 2) complex [1/unit of d].
     """
 
     uncertainty: Uncertainty
@@ -42,13 +37,8 @@ class ProbeError:
     power: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self,
-            "matrix",
-            frozen_array(
-                self.matrix, np.complex128, f"matrix of {self.uncertainty.source}", np.shape(self.matrix)
-            ),
-        )
+        what, shape = f"matrix of {self.uncertainty.source}", np.shape(self.matrix)
+        object.__setattr__(self, "matrix", frozen_array(self.matrix, np.complex128, what, shape))
 
 
 @dataclass(frozen=True)
@@ -112,17 +102,14 @@ class RunUp:
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 
     def changes(self) -> dict[str, ComplexArray]:
-        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source. One
-        source errs as one.
-        """
+        """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source."""
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed
         changes: dict[str, ComplexArray] = {}
         for error in self.uncertainties:
             course = error.uncertainty.std_error * omega**error.power
             change = course[:, None, None] * np.einsum("pij,npj->npi", error.matrix, self.response)
-            changes[error.uncertainty.source] = (
-                changes.get(error.uncertainty.source, np.zeros_like(self.response)) + change
-            )
+            source = error.uncertainty.source
+            changes[source] = changes.get(source, np.zeros_like(change)) + change
         return changes
 
     @property
@@ -163,9 +150,7 @@ class Amount:
 
 @dataclass(frozen=True)
 class Motion:
-    """One direction of one plane over the speeds: phasor real + j imag (n_speed,) [m], 0-to-peak. Errors
-    where it was measured.
-    """
+    """Phasor real + j imag (n_speed,) [m], 0-to-peak, of a direction of a plane; errors where measured."""
 
     plane: str
     direction: str
@@ -177,9 +162,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Cascade:
-    """Spectra of one response, block by block of a recording: speed (n_block,) [Hz], frequency (n_line,)
-    [Hz], amplitude [m] of each.
-    """
+    """Spectra of one response by blocks: speed (n_block,) [Hz], frequency (n_line,) [Hz], amplitude [m]."""
 
     label: str
     speed: Column
@@ -189,9 +172,8 @@ class Cascade:
 
 @dataclass(frozen=True)
 class MeasuredRun:
-    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s]; *excitation* and
-    *subtracted* as text. critical_speed, threshold [rad/s]: measured. printed_...: what a source prints
-    (measured, original, enhanced) [Hz].
+    """One run-up: *load* [N], *role* (TRAINED or HELD_OUT), speed (n_speed,) [rad/s], measured critical speed
+    and threshold [rad/s]; printed_...: what a source prints (measured, original, enhanced) [Hz].
     """
 
     name: str
@@ -212,10 +194,8 @@ class MeasuredRun:
 @dataclass(frozen=True)
 class RunPrediction:
     """A method at the load of one *run*: critical speed and threshold [rad/s], motions over *speed* (n,)
-    [rad/s], and coefficients.
-
-    coefficients, std_errors: eight per speed of `coefficient_speed` [rad/s] (k_xx ... c_yy); std_errors is
-    empty where the method gives none, null at a bound. *notes*: reasons of missing values, warnings.
+    [rad/s], eight coefficients and std_errors (none of some methods, null at a bound) for each of
+    `coefficient_speed` [rad/s]; *notes*: reasons of missing values, warnings.
     """
 
     run: str
@@ -232,9 +212,7 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Convergence:
-    """One search: objective, mesh size and evaluations by iteration, (n_iteration,) each; *capped*: True if
-    ended by a limit.
-    """
+    """Objective, mesh size and evaluations (n_iteration,) of a search; *capped*: ended by a limit."""
 
     where: str
     objective: Column
@@ -246,9 +224,7 @@ class Convergence:
 
 @dataclass(frozen=True)
 class StartSpread:
-    """Final points of several starts of one search: eight factors on the start values per start, and its
-    objective.
-    """
+    """Final points of several starts of one search: eight factors, and its objective, of each."""
 
     where: str
     factors: tuple[Column, ...]
@@ -256,8 +232,6 @@ class StartSpread:
 
 
 class Predicts:
-    """What has a prediction for every run."""
-
     predictions: tuple[RunPrediction, ...]
 
     def prediction(self, run: str) -> RunPrediction | None:
@@ -266,10 +240,9 @@ class Predicts:
 
 @dataclass(frozen=True)
 class RunUpMethod(Predicts):
-    """One identification method: uncertainty and predictions. None where a method has no such number.
-
-    rank: unknowns that the data determine, of *unknowns*; condition: within that rank, the worst; free:
-    combinations that no datum holds, in words; parameters: what was estimated, where they are few.
+    """One identification method: uncertainty, None where it has no such number, and predictions. rank:
+    unknowns that the data determine, of *unknowns*; condition: within it, the worst; free: combinations that
+    no datum holds, in words; parameters: what was estimated, where they are few.
     """
 
     name: str
@@ -294,9 +267,8 @@ class RunUpMethod(Predicts):
 
 @dataclass(frozen=True)
 class RankRow:
-    """Rank [1] of the eight coefficients from a set of *data* at one load and speed, *condition* [1] within
-    the rank. *words*: statement; *free*: each undetermined combination, in parts of the coefficients' sizes;
-    *advice* on the experiment, if any.
+    """Rank [1] of the eight coefficients from *data* at one load and speed, *condition* [1] within it, in
+    *words*; *free*: undetermined combinations, in parts of the coefficients' sizes; *advice* if any.
     """
 
     data: str
@@ -309,9 +281,7 @@ class RankRow:
 
 @dataclass(frozen=True)
 class Surface:
-    """Eight coefficients over a grid: load (n_load,) [N], speed (n_speed,) [rad/s], values
-    [coefficient][load][speed] in SI units.
-    """
+    """Values [coefficient][load][speed] in SI units over load (n_load,) [N] and speed (n_speed,) [rad/s]."""
 
     load: Column
     speed: Column
@@ -320,8 +290,8 @@ class Surface:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of a metamodel at a load outside its fit: rms over its speeds of every coefficient, relative [-]
-    (8,). outside: the load lies beyond the others; *failed*: reason of a failed fit.
+    """Relative rms errors [-] (8,) of a metamodel at a load that is not in its fit; outside: it lies beyond
+    the others; *failed*: reason of a failed fit.
     """
 
     load: float
@@ -331,15 +301,12 @@ class LeftOut:
 
     @property
     def rms(self) -> float:
-        """Over the eight coefficients [-]."""
         return float(np.sqrt(np.mean(np.square(self.errors))))
 
 
 @dataclass(frozen=True)
 class MetamodelResult(Predicts):
-    """Coefficients over load and speed from one method's points: surface, leave-one-load-out errors,
-    predictions, statistics as text. *model*: entries from which it is read back.
-    """
+    """Coefficients over load and speed from one method's points; *model*: entries that it is read from."""
 
     name: str
     title: str
@@ -350,12 +317,15 @@ class MetamodelResult(Predicts):
     model: dict[str, Any] = field(default_factory=dict)
 
 
+# What has predictions of every run.
+Model = RunUpMethod | MetamodelResult
+
+
 @dataclass(frozen=True)
 class RunUpResult:
-    """Run-ups of one rotor, all methods; *plane*: of the critical speeds; *source*: of the printed columns.
-
-    metamodels_of: the method whose coefficients they were fitted to; ranks: at rank_load [N] and rank_speed
-    [rad/s]; measured_rank: of the runs there.
+    """Run-ups of one rotor, all methods; *plane*: of the critical speeds; metamodels_of: the method that they
+    were fitted to; ranks: at rank_load [N] and rank_speed [rad/s], measured_rank: of the runs there; *source*
+    of printed columns.
     """
 
     rotor: str
@@ -374,7 +344,7 @@ class RunUpResult:
     findings: tuple[Finding, ...] = ()
 
     @property
-    def predictors(self) -> tuple[RunUpMethod | MetamodelResult, ...]:
+    def predictors(self) -> tuple[Model, ...]:
         return (*self.methods, *self.metamodels)
 
     def method(self, name: str) -> RunUpMethod | None:

@@ -50,18 +50,13 @@ def _measured_row(run: records.MeasuredRun) -> tuple[str, ...]:
 
 
 def speed_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
-    """Critical speeds and thresholds of every method with the measurement, then values printed in a
-    source.
-    """
+    """Critical speeds and thresholds of every method with the measurement, then printed values."""
     blocks: list[Block] = []
     for item, title in KINDS.items():
         blocks.append(_speed_table(result, item, f"{title} [rpm]: measured, and by every method"))
         if result.metamodels:
-            caption = (
-                f"{title} [rpm] with coefficients of metamodels, from {result.metamodels_of} at the "
-                "trained loads"
-            )
-            blocks.append(_speed_table(result, item, caption, result.metamodels))
+            basis = f"coefficients of metamodels, from {result.metamodels_of} at the trained loads"
+            blocks.append(_speed_table(result, item, f"{title} [rpm] with {basis}", result.metamodels))
     blocks.append(Paragraph(DIFFERENCES))
     for item, title in KINDS.items():
         blocks.extend(_printed_table(result, item, title))
@@ -69,9 +64,9 @@ def speed_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
 
 
 def _speed_table(
-    result: records.RunUpResult, item: str, caption: str, models: Sequence[records.MetamodelResult] = ()
+    result: records.RunUpResult, item: str, caption: str, models: Sequence[records.Model] = ()
 ) -> Table:
-    columns: Sequence[records.RunUpMethod | records.MetamodelResult] = models or result.methods
+    columns = models or result.methods
     header = ("run", "measured", *(_heading(column) for column in columns))
     rows = []
     for run in _runs_with(result, item):
@@ -83,7 +78,7 @@ def _speed_table(
     return Table(header, tuple(rows), caption)
 
 
-def _heading(column: records.RunUpMethod | records.MetamodelResult) -> str:
+def _heading(column: records.Model) -> str:
     name = SHORT.get(column.name, column.name)
     rejected = getattr(column, "verdict", "") == records.REJECTED
     return f"{name}, {records.REJECTED}" if rejected else name
@@ -125,9 +120,7 @@ def _mark(amount: records.Amount, measured: records.Amount) -> str:
 
 
 def both_differences(predicted: float, measured: float) -> str:
-    """ "+2.15 % (2.10 %)": relative to the measurement, and by the source's rule, relative to the larger of
-    the two.
-    """
+    """ "+2.15 % (2.10 %)": relative to the measurement, and to the larger of the two (the source's rule)."""
     relative = (predicted - measured) / measured
     rule = abs(predicted - measured) / max(abs(predicted), abs(measured))
     return f"{100 * relative:+.2f} % ({100 * rule:.2f} %)"
@@ -142,9 +135,8 @@ def _printed_table(result: records.RunUpResult, item: str, title: str) -> list[B
             rows.append((_run_name(run), f"{printed[0]:.6g}", *shown))
     if not rows:
         return []
-    caption = (
-        f"{title} [rpm] as printed in {result.source or 'a source'}: for reference, measured on another rig"
-    )
+    where = result.source or "a source"
+    caption = f"{title} [rpm] as printed in {where}: for reference, measured on another rig"
     header = ("run", "measured (source)", "original (source)", "enhanced (source)")
     return [Table(header, tuple(rows), caption, (1, 2, 3))]
 
@@ -193,10 +185,8 @@ def _rank_blocks(result: records.RunUpResult) -> list[Block]:
     rank = result.measured_rank
     if rank is not None and rank.free:
         free = tuple((str(number), combination) for number, combination in enumerate(rank.free, 1))
-        caption = (
-            f"Combinations that the runs {rank.data} do not determine at {place}, in parts of the "
-            "coefficients' sizes"
-        )
+        unseen = f"Combinations that the runs {rank.data} do not determine at {place}"
+        caption = f"{unseen}, in parts of the coefficients' sizes"
         blocks.append(Table(("no.", "combination"), free, caption, (0,)))
     return blocks
 
@@ -208,12 +198,9 @@ def parameter_table(method: records.RunUpMethod) -> Table:
         value, error, *ends = written(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
         interval = " to ".join(ends) or ("at bound" if parameter.at_bound else "none")
         rows.append((parameter.name, kind, value, error or "none", interval))
-    caption = (
-        f"{method.title}: posterior values with their standard deviations, as factors on the rotor "
-        "file's bearing"
-    )
+    what = "posterior values with their standard deviations, as factors on the rotor file's bearing"
     header = ("parameter", "kind", "value", "std. deviation", "95 % interval")
-    return Table(header, tuple(rows), caption, (2, 3, 4))
+    return Table(header, tuple(rows), f"{method.title}: {what}", (2, 3, 4))
 
 
 def coefficient_table(method: records.RunUpMethod, run: records.MeasuredRun) -> Table | None:
@@ -227,10 +214,8 @@ def coefficient_table(method: records.RunUpMethod, run: records.MeasuredRun) -> 
         for place in chosen
     )
     units = tuple(f"{name} [{figures.scale(name)[1]}]" for name in COEFFICIENTS)
-    caption = (
-        f"{method.title}: coefficients at {run.load:.4g} N ({run.name}), ± one standard deviation; "
-        "every speed in identification.json"
-    )
+    place = f"coefficients at {run.load:.4g} N ({run.name})"
+    caption = f"{method.title}: {place}, ± one standard deviation; every speed in identification.json"
     return Table(("speed [rpm]", *units), rows, caption, tuple(range(9)))
 
 
@@ -239,12 +224,10 @@ def _eight(prediction: records.RunPrediction, place: int) -> list[str]:
     for number, value in enumerate(prediction.coefficients[place]):
         scale, _ = figures.scale(COEFFICIENTS[number])
         error = prediction.std_errors[place][number] if prediction.std_errors else None
-        if error is None:
-            cells.append(f"{scale * value:.4g}")
-        elif math.isfinite(error):
+        if error is not None and math.isfinite(error):
             cells.append(with_error(scale * value, scale * error))
         else:
-            cells.append(f"{scale * value:.4g} at bound")
+            cells.append(f"{scale * value:.4g}{'' if error is None else ' at bound'}")
     return cells
 
 
@@ -257,12 +240,9 @@ def validation_table(models: Sequence[records.MetamodelResult]) -> Table:
             errors = ["none" if validation.failed else f"{100 * error:.1f}" for error in sizes]
             position = "outside" if validation.outside else "between"
             rows.append((model.title, f"{validation.load:.4g}", position, *errors))
-    caption = (
-        f"Leave-one-load-out: rms error over the speeds [%] at each of {len(loads)} loads, of fits to "
-        "the others"
-    )
+    error = f"rms error over the speeds [%] at each of {len(loads)} loads, of fits to the others"
     header = ("metamodel", "load [N]", "of the others", *COEFFICIENTS, "all")
-    return Table(header, tuple(rows), caption, tuple(range(3, 12)))
+    return Table(header, tuple(rows), f"Leave-one-load-out: {error}", tuple(range(3, 12)))
 
 
 FRAME = (
@@ -299,16 +279,13 @@ def run_up_sections(result: records.RunUpResult, _identification: Identification
 
 def _measured_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
     method = figures.best_method(result)
-    description = f"{result.rotor}, on its {result.bearing}. {FRAME}"
     cascades = [figures.cascade_figure(run, cascade) for run in result.runs for cascade in run.cascades]
     titles = "run,load [N],role,known unbalance or force,speeds [rpm],critical speed [rpm],threshold [rpm]"
     rows = tuple(_measured_row(run) for run in result.runs)
-    caption = (
-        f"Run-ups as measured; critical speed: largest displacement at {result.plane}; ± is one "
-        "standard error"
-    )
+    largest = f"critical speed: largest displacement at {result.plane}"
+    caption = f"Run-ups as measured; {largest}; ± is one standard error"
     return (
-        Paragraph(description),
+        Paragraph(f"{result.rotor}, on its {result.bearing}. {FRAME}"),
         Table(tuple(titles.split(",")), rows, caption, (1, 5, 6)),
         figures.polar_figure(result, method),
         figures.orbit_figure(result, method),
@@ -328,7 +305,7 @@ def _cautions(result: records.RunUpResult) -> tuple[Block, ...]:
     )
 
 
-def _notes(owners: Sequence[records.RunUpMethod | records.MetamodelResult]) -> dict[str, list[str]]:
+def _notes(owners: Sequence[records.Model]) -> dict[str, list[str]]:
     notes: dict[str, list[str]] = {}
     for owner in owners:
         for prediction in owner.predictions:
@@ -354,9 +331,8 @@ def _metamodels(result: records.RunUpResult) -> tuple[Block, ...]:
         "are smooth, not that they are right."
     )
     blocks: list[Block] = [Paragraph(basis), validation_table(result.metamodels)]
-    blocks += [
-        Paragraph(f"{text} ({', '.join(runs)}).", "note") for text, runs in _notes(result.metamodels).items()
-    ]
+    notes = _notes(result.metamodels).items()
+    blocks += [Paragraph(f"{text} ({', '.join(runs)}).", "note") for text, runs in notes]
     for model in result.metamodels:
         failed = [
             f"Without {validation.load:.4g} N it could not be fitted: {validation.failed}."

@@ -1,6 +1,4 @@
-"""All methods on the run-ups of a rotor, compared on every run: coefficients, critical and threshold
-speeds.
-"""
+"""All methods on the run-ups of a rotor, compared on every run."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ from labpipe.methods.run_ups.methods import (
     start,
     with_unbalance_of,
 )
-from labpipe.methods.run_ups.misfit import measured_statement, rank_statements
+from labpipe.methods.run_ups.misfit import ADVICE, measured_statement, rank_statements
 from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, carried_beyond, searched_over
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
@@ -52,7 +50,7 @@ def metamodels(
     runs: Sequence[records.RunUp],
     solved: Sequence[Solved],
 ) -> tuple[records.MetamodelResult, ...]:
-    """Metamodels of the section in its order; LabpipeError names the metamodel that cannot be fitted."""
+    """Metamodels in the section's order; LabpipeError names one that cannot be fitted."""
     if not settings.metamodels:
         return ()
     by_name = {method.method.name: method for method in solved}
@@ -74,21 +72,10 @@ def metamodels(
         load = np.linspace(min(loads), max(loads), SURFACE_LOADS)
         speed = np.linspace(*model.extent.speeds, SURFACE_SPEEDS)
         values = np.stack([model.predict(one_load, speed) for one_load in load])
-        results.append(
-            records.MetamodelResult(
-                name,
-                title,
-                records.Surface(
-                    column(load),
-                    column(speed),
-                    tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8)),
-                ),
-                tuple(left_out[kind]),
-                predictions,
-                (f"{model.statement}.",),
-                model.to_entries(),
-            )
-        )
+        sheets = tuple(tuple(column(row) for row in values[:, :, n]) for n in range(8))
+        surface, remarks = records.Surface(column(load), column(speed), sheets), (f"{model.statement}.",)
+        parts = surface, tuple(left_out[kind]), predictions, remarks, model.to_entries()
+        results.append(records.MetamodelResult(name, title, *parts))
     return tuple(results)
 
 
@@ -185,11 +172,9 @@ def _bearing_text(rig: RunUpRotor) -> str:
     bearing = rig.place.bearing
     if not isinstance(bearing, JournalBearing):
         return f"{rig.place.kind} '{rig.place.name}'"
-    size = (
-        f"L {1e3 * bearing.length:.4g} mm, D {1e3 * bearing.diameter:.4g} mm, clearance "
-        f"{1e6 * bearing.clearance:.4g} um"
-    )
-    return f"journal bearing '{rig.place.name}': {size}, viscosity {bearing.viscosity:.4g} Pa s"
+    size = f"L {1e3 * bearing.length:.4g} mm, D {1e3 * bearing.diameter:.4g} mm"
+    film = f"clearance {1e6 * bearing.clearance:.4g} um, viscosity {bearing.viscosity:.4g} Pa s"
+    return f"journal bearing '{rig.place.name}': {size}, {film}"
 
 
 def _with_findings(
@@ -211,26 +196,21 @@ def _with_findings(
 def _uncertainties(method: records.RunUpMethod, runs: Sequence[records.MeasuredRun]) -> list[Finding]:
     findings = []
     if method.verdict == "not determined":
-        message = (
-            f"{method.title}: the data determine {method.rank} of {method.unknowns} coefficients at a "
-            "point; the values are not determined"
-        )
-        findings.append(Finding("collinear", f"{message}, however well the response is met."))
+        told = f"the data determine {method.rank} of {method.unknowns} coefficients at a point"
+        values = "the values are not determined, however well the response is met"
+        findings.append(Finding("collinear", f"{method.title}: {told}; {values}."))
+    excess = f"{method.title}: chi² per datum is {method.chi2_per_datum or 0.0:.2f}"
     if method.verdict == "rejected":
-        excess = f"chi² per datum is {method.chi2_per_datum:.2f}"
         family = "the bearing is not of the fitted family, and no interval is given"
-        findings.append(Finding("model-mismatch", f"{method.title}: {excess}: {family}."))
+        findings.append(Finding("model-mismatch", f"{excess}: {family}."))
     if "determined" in method.verdict and method.chi2_p is not None and method.chi2_p < LEAST_PROBABILITY:
-        excess = f"chi² per datum is {method.chi2_per_datum:.2f}: the residual exceeds the noise"
         bounds = f"{100 * (method.share_at_bound or 0.0):.0f} % of the coefficients lie on their bounds"
-        message = f"{method.title}: {excess}; {bounds}, and stated errors may be too small."
-        findings.append(Finding("model-mismatch", message))
+        message = f"the residual exceeds the noise; {bounds}, and stated errors may be too small."
+        findings.append(Finding("model-mismatch", f"{excess}: {message}"))
     bound = [parameter.name for parameter in method.parameters if parameter.at_bound]
     if bound:
-        message = (
-            f"{method.title}: {', '.join(bound)} at the bound: the rotor file describes another bearing."
-        )
-        findings.append(Finding("at-bound", message))
+        message = f"{', '.join(bound)} at the bound: the rotor file describes another bearing."
+        findings.append(Finding("at-bound", f"{method.title}: {message}"))
     jointly = method.verdict in ("rejected", "not rejected")
     for run in runs if jointly else ():
         notes = [
@@ -246,17 +226,14 @@ def _advice(result: records.RunUpResult) -> list[Finding]:
         return []
     place = f"under {result.rank_load:.3g} N at {result.rank_speed / RPM:.0f} rpm"
     fewest = f"the runs {place} determine {result.measured_rank.rank} of 8 coefficients"
-    advice = next((row.advice for row in result.ranks if row.advice), "")
-    return [note("experiment", f"{fewest}; {advice}")]
+    return [note("experiment", f"{fewest}; {result.measured_rank.advice or ADVICE}")]
 
 
 MEASURED = "run_ups.measured"
 
 
 def listed_speeds_and_parameters(result: records.RunUpResult) -> Iterator[ListedParameter]:
-    """Of every method its parameters, and of every run its critical and threshold speed [rad/s], measured and
-    predicted.
-    """
+    """The parameters of every method, and critical and threshold speeds [rad/s], measured and predicted."""
     for run in result.runs:
         yield from _speeds(MEASURED, run.name, run, ())
     for predictor in result.predictors:

@@ -1,21 +1,16 @@
-"""The rotor of run-ups: a pinned shaft on one loaded bearing, response of its planes, critical and threshold
-speeds.
+"""The rotor of run-ups: a pinned shaft on one loaded bearing, its response, critical and threshold speeds.
 
-Frame: x along the static load, y a quarter turn further with the spin (the rotor's y and z; a round rotor has
-no direction of its own).
+Frame: x along the static load, y a quarter turn further with the spin.
 
-The physical family of journal coefficients over load and speed: the Reynolds solution with a dozen
-parameters.
-
-All twelve are natural logarithms, zero for the rotor file's own bearing. With Omega_0, W_0 reference speed
-and load
+The physical family of journal coefficients over load and speed is the Reynolds solution with twelve
+parameters, natural logarithms, zero for the rotor file's own bearing. With Omega_0, W_0 reference speed and
+load
 
     mu(Omega, W) = mu_0 exp(a) (Omega / Omega_0)^b (W / W_0)^d,   c = c_0 exp(g),
     K_ij = W / c  k_ij(S) exp(f_ij),   C_ij = W / (c Omega)  c_ij(S) exp(f'_ij),   S from mu and c.
 
-A larger clearance with more viscosity (mu / c^2 kept) only lowers all eight coefficients alike: clearance,
-viscosity and the common factor are not identifiable separately by any run-up. Priors determine such
-combinations (`PRIOR`).
+A larger clearance with more viscosity (mu / c^2 kept) only lowers all eight coefficients alike: no run-up
+tells clearance, viscosity and the common factor apart, priors do (`PRIOR`).
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
-from labpipe.methods.journal_bearing.curve import JournalCurve, curve_of, sommerfeld_number
+from labpipe.methods.journal_bearing.curve import TO_LOAD_FRAME, JournalCurve, curve_of, sommerfeld_number
 from labpipe.methods.rotor.pinned import (
     CoefficientsAtSpeed,
     CondensedRotor,
@@ -72,7 +67,7 @@ class CoefficientFamily(Protocol):
         ...
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
-        """K [N/m] and C [N s/m] as functions of speed, of parameters (n_parameter,)."""
+        """K [N/m] and C [N s/m] over speed, of parameters (n_parameter,)."""
         ...
 
 
@@ -95,9 +90,7 @@ class FilmFamily:
         return sommerfeld_number(self.bearing, load, speed) * np.exp(change)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table. Equation
-        (run-family).
-        """
+        """(n_point, 8) [N/m, N s/m]; FitError outside the bearing's table. Equation (run-family)."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         return as_eight(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
@@ -120,7 +113,7 @@ class FilmFamily:
         return eight, slopes
 
     def at_load(self, values: FloatArray, load: float) -> CoefficientsAtSpeed:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), as a function of speed [rad/s]."""
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), over speed [rad/s]."""
         return lambda speed: as_matrices(self.coefficients(values, load, speed))
 
     def _scale(self, values: FloatArray, load: FloatArray, speed: FloatArray) -> FloatArray:
@@ -130,20 +123,20 @@ class FilmFamily:
 
 
 def as_matrices(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """K [N/m] and C [N s/m], (..., 2, 2) each, from eight COEFFICIENTS (..., 8)."""
+    """K [N/m] and C [N s/m], (..., 2, 2), from COEFFICIENTS (..., 8)."""
     split = coefficients.reshape(*coefficients.shape[:-1], 2, 2, 2)
     return split[..., 0, :, :], split[..., 1, :, :]
 
 
 def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
-    """The eight COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
+    """COEFFICIENTS (..., 8) from K [N/m] and C [N s/m], (..., 2, 2)."""
     parts = [matrix.reshape(*matrix.shape[:-2], 4) for matrix in (stiffness, damping)]
     return np.concatenate(parts, axis=-1)
 
 
 def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
-    """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] that are given from *low* to *high*
-    [rad/s]. Outside, K and Omega C stay constant, as those of a film at one Sommerfeld number.
+    """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] between *low* and *high* [rad/s];
+    outside K and Omega C stay constant, as those of a film at one Sommerfeld number.
     """
 
     def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -156,22 +149,17 @@ def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: 
 
 
 def coefficient_errors(estimate: FloatArray, true: FloatArray) -> FloatArray:
-    """rms error of *estimate* over the points, relative to the rms of the true coefficient, (8,) [-], of
-    (n_point, 8) each.
-    """
+    """rms error of *estimate* over the rms of *true*, (8,) [-], over the points of (n_point, 8) each."""
     return np.sqrt(np.mean((estimate - true) ** 2, axis=0) / np.mean(true**2, axis=0))
 
 
 RPM = np.pi / 30
 # Number of speeds in the search for peaks and thresholds; range of thresholds relative to the highest speed.
 N_CRITICAL, N_THRESHOLD, BEYOND = 131, 29, 2.0
-# From the bearing's frame (y, z; load along -z) to x along the load and y a quarter turn further with the
-# spin.
-ALONG_LOAD = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class TabulatedCoefficients(Protocol):
-    """The eight coefficients (n_point, 8) over load [N] and speed [rad/s], such as a metamodel gives them."""
+    """The eight coefficients over load [N] and speed [rad/s], as a metamodel gives them."""
 
     @property
     def speeds(self) -> tuple[float, float]:
@@ -179,15 +167,13 @@ class TabulatedCoefficients(Protocol):
         ...
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
-        """Coefficients (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
+        """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         ...
 
 
 @dataclass(frozen=True)
 class SpeedSearch:
-    """Range of the search: critical speeds between *low* and *high* [rad/s], thresholds of instability up to
-    *highest*.
-    """
+    """Critical speeds are searched from *low* to *high* [rad/s], thresholds of instability to *highest*."""
 
     low: float
     high: float
@@ -198,12 +184,12 @@ class SpeedSearch:
 
     @property
     def critical(self) -> FloatArray:
-        """Speeds (n_speed,) [rad/s] of the search for a peak."""
+        """(n_speed,) [rad/s] of the search for a peak."""
         return np.linspace(self.low, self.high, N_CRITICAL)
 
     @property
     def threshold(self) -> FloatArray:
-        """Speeds (n_speed,) [rad/s] of the search for a sign change of the growth rate."""
+        """(n_speed,) [rad/s] of the search for a sign change of the growth rate."""
         return np.linspace(self.low, self.highest, N_THRESHOLD)
 
     @property
@@ -213,14 +199,10 @@ class SpeedSearch:
 
 @dataclass(frozen=True)
 class RunUpRotor:
-    """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*; *unbalances*: of the
-    rotor file.
-
-    *tabulated*: journal coefficients instead of the film's; beyond their speeds K and Omega C stay constant.
-    *speeds*: range of the search for critical speeds [rad/s], thresholds up to twice its end; default: the
-    speeds of the run-ups (`searched_over`).
-
-    ConfigError for a node that does not exist or lies outside the pins, or two planes of one name.
+    """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*. *tabulated*:
+    coefficients instead of the film's. *speeds*: range of the search for critical speeds [rad/s], by default
+    that of the run-ups (`searched_over`). ConfigError for a node that is none or outside the pins, or that
+    two planes share.
     """
 
     name: str
@@ -247,7 +229,7 @@ class RunUpRotor:
 
     @property
     def search(self) -> SpeedSearch:
-        """Range of the search; ConfigError where neither the rotor file nor a run-up gives one."""
+        """ConfigError where neither the rotor file nor a run-up gives one."""
         if self.speeds is None:
             hint = "for example speeds: 400-3000 rpm"
             raise ConfigError("speeds: are missing, and there is no run-up to take them from", hint=hint)
@@ -294,9 +276,8 @@ class RunUpRotor:
         """x, y of every plane at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] or a *shaker*."""
         nodes = tuple(node for _, node in self.planes)
         if shaker is None:
-            forces = unbalance_forces(
-                self.pinned, {self.node(plane): u for plane, u in unbalance.items()}, speed
-            )
+            at_nodes = {self.node(plane): size for plane, size in unbalance.items()}
+            forces = unbalance_forces(self.pinned, at_nodes, speed)
             return condensed_rotor(self.pinned, self.place.node, speed, forces, nodes)
         forces = np.zeros((np.size(speed), self.pinned.n_dof), np.complex128)
         forces[:, self.pinned.dofs(self.node(shaker.plane))] = [shaker.x, shaker.y]
@@ -304,15 +285,12 @@ class RunUpRotor:
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, speed)
 
     def excited(self, run: RunUp) -> CondensedRotor:
-        """Condensed at the speeds, and under the excitation, of a run. DataError when the run has other
-        planes, or no excitation.
-        """
+        """Condensed at the speeds and under the excitation of a run; DataError for other planes, or none."""
         if run.planes != self.plane_names:
-            raise DataError(
-                f"run '{run.name}' was measured at {', '.join(run.planes)}, the rotor has "
-                f"{', '.join(self.plane_names)}",
-                hint="name the planes alike in the rotor file and the run-up, in one order",
-            )
+            own, measured = ", ".join(self.plane_names), ", ".join(run.planes)
+            what = f"run '{run.name}' was measured at {measured}, the rotor has {own}"
+            hint = "name the planes alike in the rotor file and the run-up, in one order"
+            raise DataError(what, hint=hint)
         acting = run.unbalance.values() if run.shaker is None else (run.shaker.x, run.shaker.y)
         if not any(acting):
             what = f"run '{run.name}' was excited by nothing: its unbalance or force is zero"
@@ -320,17 +298,15 @@ class RunUpRotor:
         return self.condensed(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing (a film's from its Sommerfeld
-        number), or as *tabulated*.
-        """
+        """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
             return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
         if not isinstance(bearing, JournalBearing):
             points = [bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
-            stiffness = np.stack([point.stiffness for point in points])
-            damping = np.stack([point.damping for point in points])
-            return ALONG_LOAD @ stiffness @ ALONG_LOAD.T, ALONG_LOAD @ damping @ ALONG_LOAD.T
+            both = np.stack([[point.stiffness, point.damping] for point in points], axis=1)
+            stiffness, damping = TO_LOAD_FRAME @ both @ TO_LOAD_FRAME.T
+            return stiffness, damping
         film = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
         scale = load / bearing.clearance
         return film.stiffness * scale, film.damping * scale / speed[..., None, None]
@@ -345,8 +321,8 @@ class RunUpRotor:
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
     def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "") -> float:
-        """Speed [rad/s] of the largest displacement at a plane (the last one unless named) under the known
-        unbalance. FitError without a peak within the search.
+        """Speed [rad/s] of the largest displacement at a plane, or the last one, under the known unbalance;
+        FitError without a peak within the search.
         """
         number = self.plane_names.index(plane) if plane else -1
         search = self.search.critical
@@ -364,18 +340,16 @@ class RunUpRotor:
         return float(fine[middle] + (fine[1] - fine[0]) / 2 * (before - after) / (before - 2 * here + after))
 
     def resonance(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Speed [rad/s] that equals the imaginary part of an eigenvalue; None when there is none."""
+        """Speed [rad/s] that equals the imaginary part of an eigenvalue, if there is one."""
         return resonance_speed(self.stability, coefficients, self.search.critical[::5])
 
     def threshold(self, coefficients: CoefficientsAtSpeed) -> float | None:
-        """Onset speed of instability [rad/s], up to twice the highest speed of the search. None when there is
-        none.
-        """
+        """Onset speed of instability [rad/s], if there is one up to twice the highest speed of the search."""
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
 def searched_over(rig: RunUpRotor, runs: Iterable[RunUp | MeasuredRun]) -> RunUpRotor:
-    """The rotor with the speeds of *runs* as its range of search, unless it has a range already."""
+    """The rotor with the speeds of *runs* as its range of search, unless it has one."""
     if rig.speeds is not None:
         return rig
     ends = [(float(run.speed[0]), float(run.speed[-1])) for run in runs]
@@ -383,8 +357,8 @@ def searched_over(rig: RunUpRotor, runs: Iterable[RunUp | MeasuredRun]) -> RunUp
 
 
 def largest_displacement(response: ComplexArray) -> FloatArray:
-    """The largest displacement on the orbit, its major semi-axis |X + jY| / 2 + |X - jY| / 2 [m], (...) of
-    phasors (..., 2). Equation (rotor-largest).
+    """The major semi-axis |X + jY| / 2 + |X - jY| / 2 [m] of the orbit, (...) of phasors (..., 2). Equation
+    (rotor-largest).
     """
     x, y = response[..., 0], response[..., 1]
     return (np.abs(x + 1j * y) + np.abs(x - 1j * y)) / 2

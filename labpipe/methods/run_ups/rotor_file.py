@@ -62,10 +62,9 @@ def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:
 
 def files_of(path: Path) -> tuple[Path, ...]:
     """The rotor file and the file of its coefficients."""
-    entries = load_marked(path).content
-    named = (
-        entries["coefficients"].content if isinstance(entries, dict) and "coefficients" in entries else None
-    )
+    entries, named = load_marked(path).content, None
+    if isinstance(entries, dict) and "coefficients" in entries:
+        named = entries["coefficients"].content
     return (path, path.parent / named.rpartition("#")[0]) if isinstance(named, str) else (path,)
 
 
@@ -77,26 +76,18 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     pins = _nodes(entries.get("pins"), "pins", faults)
     named = faults.mapping(entries["planes"], "planes") if "planes" in entries else {}
     planes = tuple((name, _node(entry, join("planes", name), faults)) for name, entry in named.items())
-    if (
-        "bearings" in entries
-        and isinstance(entries["bearings"].content, list)
-        and len(entries["bearings"].content) != 1
-    ):
-        faults.add(entries["bearings"], "bearings", "a rotor between pins runs on one bearing")
-    tabulated = (
-        read_coefficients(settings.coefficients, folder, entries["coefficients"], faults)
-        if settings and settings.coefficients
-        else None
-    )
+    listed = entries.get("bearings")
+    if listed is not None and isinstance(listed.content, list) and len(listed.content) != 1:
+        faults.add(listed, "bearings", "a rotor between pins runs on one bearing")
+    tabulated = None
+    if settings and settings.coefficients:
+        tabulated = read_coefficients(settings.coefficients, folder, entries["coefficients"], faults)
     if rotor is None or settings is None or len(faults) > before:
         return None
     (entry, place), *_ = bearings
     if place.uncertainties:
         names = ", ".join(uncertain.uncertainty.source for uncertain in place.uncertainties)
-        hint = (
-            "leave it out: clearance, viscosity and the film's other numbers are estimated about the "
-            "value that is given here"
-        )
+        hint = "leave it out: the film's numbers are estimated about the value that is given here"
         faults.add(entry, "bearings.1", f"the uncertainty of {names} is not used by run-ups", hint)
         return None
     place = replace(place, name="bearing") if place.name == "1" else place
@@ -113,9 +104,8 @@ def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) ->
     """The metamodel NAME of an identification of run-ups, named as FILE#NAME."""
     file, mark, name = named.rpartition("#")
     if not (file and mark and name):
-        faults.add(
-            node, "coefficients", f"'{named}' is not FILE#NAME", "for example identification.json#physical"
-        )
+        hint = "for example identification.json#physical"
+        faults.add(node, "coefficients", f"'{named}' is not FILE#NAME", hint)
         return None
     try:
         return _metamodel(folder / file, name)

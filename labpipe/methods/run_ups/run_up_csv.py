@@ -18,9 +18,10 @@ from __future__ import annotations
 import difflib
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,8 @@ from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.table import check_columns
 from labpipe.raw_files.text_table import CsvTable, open_unpacked
-from labpipe.records.uncertain import Uncertain
+from labpipe.records.settings import parse_phasor
+from labpipe.records.uncertain import Uncertain, parse_uncertain
 from labpipe.registry import nearest
 
 KEYS = ("load", "threshold", "amplitude error", "phase error", "shaker", "shaker frequency")
@@ -39,7 +41,6 @@ _COLUMN = re.compile(
 )
 _SPEED = re.compile(r"^speed\s*(\[.*\])?$")
 _LINE = re.compile(r"^\s*#\s*(?P<key>[^:]+?)\s*:\s*(?P<text>.*?)\s*$")
-_UNBALANCE = re.compile(r"^(?P<size>.+?)\s+at\s+(?P<angle>.+)$")
 _SHAKER = re.compile(r"^(?P<x>.+?)\s+in\s+x\s*,\s*(?P<y>.+?)\s+in\s+y\s+at\s+(?P<plane>.+)$")
 UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error": "rad"}
 
@@ -47,9 +48,8 @@ UNITS = {"amplitude": "m", "amplitude error": "m", "phase": "rad", "phase error"
 def read_run_up_csv(
     path: Path, name: str = "", unbalance: Mapping[str, complex] | None = None, load: float | None = None
 ) -> RunUp:
-    """The run-up of a table; DataError names the file, the line or column, and the remedy. *unbalance* [kg m]
-    by plane, for a table without unbalance lines; empty for a run with its residual unbalance only. *load*
-    [N]: for a table without a line of it.
+    """The run-up of a table; *unbalance* [kg m] by plane (empty: residual only) and *load* [N] for one
+    without such lines. DataError names the file, the line or column, and the remedy.
     """
     if not path.exists():
         raise DataError("no such file", path)
@@ -81,8 +81,6 @@ def read_run_up_csv(
 
 
 class _Reader:
-    """A table, its columns by plane, direction and quantity, and the lines above it."""
-
     def __init__(self, path: Path) -> None:
         self.path, self.table, self.head = path, CsvTable(path), _head(path)
         self.columns = self._columns()
@@ -169,23 +167,20 @@ class _Reader:
         if "threshold" not in self.head:
             return None
         text, where = self.head["threshold"]
-        value, _, error = text.partition("+-")
-        if not error.strip():
+        hertz = _parse(text, where, "threshold", "Hz", parse_uncertain)
+        if not hertz.std_error:
             raise DataError("threshold: its uncertainty is missing", where, "for example 2772 rpm +- 6 rpm")
-        hertz = [_parse(part.strip(), where, "threshold", "Hz") for part in (value, error)]
-        return Uncertain(2 * np.pi * hertz[0], 2 * np.pi * hertz[1])
+        return Uncertain(2 * np.pi * hertz.value, 2 * np.pi * hertz.std_error)
 
     def unbalances(self) -> dict[str, complex]:
         unbalances = {}
         for key, (text, where) in self.head.items():
             if not key.startswith("unbalance "):
                 continue
-            match = _UNBALANCE.match(text)
-            if match is None:
+            if " at " not in text:
                 what = f"{key}: '{text}' is not a size and an angle"
                 raise DataError(what, where, "for example 50 g.mm at 0 deg")
-            size, angle = _parse(match["size"], where, key, "kg.m"), _parse(match["angle"], where, key, "rad")
-            unbalances[key.removeprefix("unbalance ")] = size * complex(np.exp(1j * angle))
+            unbalances[key.removeprefix("unbalance ")] = _parse(text, where, key, "kg.m", parse_phasor)
         return unbalances
 
     def shaker(self) -> Shaker | None:
@@ -232,17 +227,15 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
     return entries
 
 
-def _parse(text: str, where: str, key: str, unit: str) -> float:
+def _parse(text: str, where: str, key: str, unit: str, parse: Callable[..., Any] = parse_value) -> Any:
     try:
-        return parse_value(text, unit)
+        return parse(text, unit)
     except UnitError as error:
         raise DataError(f"{key}: {error.what}", where, error.hint) from None
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
-    """Write the run as `read_run_up_csv` reads it: rpm, um and degrees, six significant digits. Constant
-    errors as comment lines.
-    """
+    """As `read_run_up_csv` reads it: rpm, um and degrees, six digits, constant errors as comment lines."""
     columns = {"speed [rpm]": run.rpm}
     relative, phase = _common_errors(run)
     for n, plane in enumerate(run.planes):
@@ -283,7 +276,7 @@ def _lines(run: RunUp, relative: float | None, phase: float | None) -> list[str]
     return lines
 
 
-# A run-up table begins with the load in a comment, within so many bytes.
+# Bytes within which a run-up table states the load.
 HEAD = 4096
 _RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)
 

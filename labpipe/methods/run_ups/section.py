@@ -13,7 +13,7 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, LabpipeError
 from labpipe.methods.run_ups import records
-from labpipe.methods.run_ups.measured import ReadRun, at_speeds, column, difference, run_up_of
+from labpipe.methods.run_ups.measured import ReadRun, added_since, column, difference, run_up_of
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
 from labpipe.methods.run_ups.result import Tell, listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
@@ -45,9 +45,7 @@ def read_run(
     folder: Path,
     probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
-    """The run of a pipeline's entry, its residual run subtracted where named; LabpipeError names the entry.
-    *probes*: those of tables.
-    """
+    """The run of a pipeline's entry, less its residual run; LabpipeError names it. *probes*: of tables."""
     try:
         read = run_as_measured(settings, output, folder, probes)
         rig.excited(read.run)
@@ -60,7 +58,7 @@ def read_run(
 def run_as_measured(
     settings: RunSettings, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
 ) -> ReadRun:
-    """The run of an entry, a table or a recording, on whatever rotor."""
+    """The run of an entry, on whatever rotor."""
     return _record(settings, output, folder) if settings.recording else _tabulate(settings, probes)
 
 
@@ -69,7 +67,7 @@ def _tabulate(settings: RunSettings, probes: ProbeUncertainties) -> ReadRun:
     run = replace(_statement(settings, table), uncertainties=probes.errors(table.planes))
     if settings.subtracted is not None:
         residual = read_run_up_csv(settings.subtracted, settings.subtracted.stem, {}, settings.load)
-        run = difference(run, residual)
+        run = difference(run, replace(residual, load=settings.load or residual.load))
     return ReadRun(settings, run)
 
 
@@ -91,9 +89,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
     run = _track(recording, lines, settings, dict(settings.unbalance))
     if settings.subtracted is not None:
         residual = _open(settings.subtracted, f"{settings.name}-residual", settings, output, folder)
-        # Nothing was added before the residual run, where the run has its weights.
-        subtracted = _track(residual, lines, settings, dict.fromkeys(dict(settings.unbalance), 0j))
-        run = difference(run, at_speeds(subtracted, run.speed))
+        run = added_since(_track(residual, lines, settings, dict(settings.unbalance)), run)
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
 
 
@@ -122,9 +118,7 @@ def _track(
 
 
 def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[records.Cascade, ...]:
-    """Cascade of every displacement; groups of lines are reduced to their maximum, so that no peak is
-    lost.
-    """
+    """Of every displacement; groups of lines are reduced to their maximum, so that no peak is lost."""
     spectra = cascade_spectra(recording, lines)
     group = -(-spectra.frequency.size // MOST_LINES)
     whole = spectra.frequency.size // group * group
@@ -142,7 +136,7 @@ def _cascades(recording: StoredRecording, lines: ShaftLines) -> tuple[records.Ca
 def identify_run_ups(
     settings: RunUpSettings, output: OutputFolder, folder: Path, tell: Tell = lambda _: None
 ) -> records.RunUpResult:
-    """All methods of the section, compared on every run. *folder*: of the pipeline file."""
+    """All methods of the section on every run; *folder*: of the pipeline file."""
     rig = settings.rig
     assert rig is not None
     recorded = [run for run in settings.runs if run.recording]
@@ -177,7 +171,7 @@ class _Address:
 
 
 def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: CompareNumber) -> RuleOutcome:
-    """The outcome of a rule; ConfigError at its place for what the result does not have."""
+    """Of a rule; ConfigError at its place for what the result does not have."""
     if rule.item == "warnings":
         return rule.outcome(*compare_warnings(rule, result.findings))
     match = _ADDRESS.match(rule.item)
@@ -222,9 +216,7 @@ def _of_method(
     return rule.outcome(*compare_number(rule, None if number is None else float(number), "1"))
 
 
-def _predictor(
-    rule: Rule, address: _Address, result: records.RunUpResult
-) -> records.RunUpMethod | records.MetamodelResult:
+def _predictor(rule: Rule, address: _Address, result: records.RunUpResult) -> records.Model:
     predictors = {predictor.name: predictor for predictor in result.predictors}
     if address.method not in predictors:
         hint = nearest(address.method, [*predictors, MEASURED])

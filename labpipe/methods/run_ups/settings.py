@@ -23,9 +23,7 @@ KEYPHASOR = "keyphasor"
 
 @dataclass(frozen=True)
 class ProbeUncertainties:
-    """Uncertainties of the probes of a table: relative gain [1], phase [rad], delay [s] of each, angle [rad]
-    of the keyphasor. None for none.
-    """
+    """Of the probes of a table: relative gain [1], phase [rad], delay [s]; angle [rad] of the keyphasor."""
 
     gain: Uncertain | None = None
     phase: Uncertain | None = None
@@ -33,9 +31,7 @@ class ProbeUncertainties:
     keyphasor: Uncertain | None = None
 
     def errors(self, planes: Sequence[str]) -> tuple[ProbeError, ...]:
-        """The errors of every probe, named by plane and direction. Each is its own, unless the uncertainty
-        names a source.
-        """
+        """Of every probe, each its own, by plane and direction, unless the uncertainty names a source."""
         errors = []
         for effect, unit in (("gain", "1"), ("phase", "rad"), ("delay", "s")):
             number: Uncertain | None = getattr(self, effect)
@@ -46,11 +42,8 @@ class ProbeUncertainties:
                 for axis, direction in enumerate(DIRECTIONS):
                     matrix = np.zeros((len(planes), 2, 2), np.complex128)
                     matrix[at, axis, axis] = slope
-                    errors.append(
-                        ProbeError(
-                            uncertainty_of(number, f"{plane} {direction}.{effect}", unit), matrix, power
-                        )
-                    )
+                    source = uncertainty_of(number, f"{plane} {direction}.{effect}", unit)
+                    errors.append(ProbeError(source, matrix, power))
         if self.keyphasor is not None and self.keyphasor.std_error > 0:
             errors.append(turning(uncertainty_of(self.keyphasor, KEYPHASOR, "rad"), len(planes)))
         return tuple(errors)
@@ -65,6 +58,14 @@ def turning(uncertainty: Uncertainty, n_plane: int, slope: complex = 1j, power: 
 METHODS = Registry("run-up method")
 METAMODELS = ("response-surface", "network", "gaussian-process", "physical")
 SEARCHES = ("pattern", "cobyqa")
+# Settings of labpipe's own methods, each with those that it is of.
+OF_METHODS = {
+    "bound": ("amplitudes", "points"),
+    "ridge": ("points",),
+    "known": ("joint",),
+    "search": ("amplitudes",),
+    "starts": ("amplitudes",),
+}
 
 
 def _file(help: str, kind: str, into: str) -> Any:
@@ -73,8 +74,8 @@ def _file(help: str, kind: str, into: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
-    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane, complex: in place
-    of the table's. path, subtracted: the files with their folder; recorded_by: contents of `rig`.
+    """One entry of ``run_ups.runs:``, a table or a recording; *unbalance* [kg m] by plane in place of the
+    table's. path, subtracted: the files with their folder; recorded_by: contents of `rig`.
     """
 
     file: str = _file("table of the run-up (CSV), relative to the pipeline file", "path", "path")
@@ -152,9 +153,7 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True)
 class ProbeSettings(Settings):
-    """Standard uncertainties of the probes of all runs, each by itself. How else they are meant stands in
-    brackets, as in a rig file.
-    """
+    """Standard uncertainties of the probes of all runs, or as brackets say, as in a rig file."""
 
     gain: str = setting(
         "text",
@@ -169,15 +168,10 @@ class ProbeSettings(Settings):
     uncertainties: ProbeUncertainties = ProbeUncertainties()
 
     def __post_init__(self) -> None:
-        units = {
-            "gain": ("1", "1"),
-            "phase": ("0 rad", "rad"),
-            "delay": ("0 s", "s"),
-            "keyphasor": ("0 rad", "rad"),
-        }
+        units = {"gain": "1", "phase": "rad", "delay": "s", "keyphasor": "rad"}
         numbers = {}
-        for name, (value, unit) in units.items():
-            text = getattr(self, name)
+        for name, unit in units.items():
+            text, value = getattr(self, name), "1" if name == "gain" else f"0 {unit}"
             try:
                 numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
             except UnitError as error:
@@ -236,6 +230,11 @@ class RunUpSettings(Settings):
                     raise SettingError(field, f"unknown name '{name}'", nearest(name, table))
                 if names.count(name) > 1:
                     raise SettingError(field, f"'{name}' is named twice", "leave one out")
+        own = {*self.methods} <= {"amplitudes", "points", "joint", "process"}
+        for key in self.written if own else ():
+            if not {*OF_METHODS.get(key, self.methods)} & {*self.methods}:
+                what = f"'{key}' is of {' and '.join(OF_METHODS[key])}, which is not among the methods"
+                raise SettingError(key, what, "leave it out")
         if len(set(self.known)) == len(PARAMETERS):
             raise SettingError("known", "nothing is left to estimate", "leave some out")
         if not (0 < self.bound < 1 and self.ridge > 0):

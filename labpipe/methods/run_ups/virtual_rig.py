@@ -1,10 +1,6 @@
-"""A virtual rig of two discs on a flexible shaft in pinned ends, one loaded journal bearing at mid span:
-run-ups under known unbalances.
-
-Falah and Khorshid print the bearing, the span, the shaft and the loads. The other parameters are chosen here:
-discs of 4.3 kg and 50 mm radius at 190 mm from the pinned ends, two axial grooves of 20 deg at the horizontal
-split, 50 and 30 g.mm of unbalance, 27 speeds, 1 % and 1 deg of noise, thresholds within .2 %; the bearing
-differs from the rotor file's in one of three ways (TRUTHS).
+"""A virtual rig of run-ups: a flexible shaft in pinned ends on one loaded journal bearing that differs from
+the rotor file's in one of three ways (TRUTHS); speeds and noise are chosen here, the loads are printed by
+Falah and Khorshid.
 """
 
 from __future__ import annotations
@@ -54,10 +50,8 @@ class RunUpNoise(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualUnbalanceRig(Settings):
-    """The rotor of a rotor file with a model error, its loads and its noise; *rig*: contents of `rotor`.
-
-    Entries marked 'outside' belong to the truth of that name, the others to all. The virtual rotor has the
-    known unbalances of the file.
+    """The rotor of a rotor file, with its unbalances, and a model error; *rig*: contents of `rotor`. Entries
+    marked 'outside' belong to the truth of that name.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
@@ -115,9 +109,7 @@ class VirtualUnbalanceRig(Settings):
 
     @property
     def nominal(self) -> RunUpRotor:
-        """The rotor file's rotor, its range of search that of the run-ups where the file has none.
-        ConfigError without a rotor.
-        """
+        """The rotor file's rotor, searched over its run-ups unless it says where; ConfigError without one."""
         if self.rig is None:
             raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
         if self.rig.speeds is not None:
@@ -145,9 +137,8 @@ def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> Coefficients
 def smooth_factors(
     load: float, speed: FloatArray, loads: tuple[float, float], speeds: tuple[float, float]
 ) -> FloatArray:
-    """Factors of the eight coefficients (n_speed, 8) [-] within LOWEST_FACTOR and HIGHEST_FACTOR, smooth over
-    load and speed. Half a wave to one wave over each range, the phases fixed by the golden ratio so that all
-    coefficients differ. Equation (sim-factors).
+    """Of the eight coefficients (n_speed, 8) [-], within LOWEST_FACTOR and HIGHEST_FACTOR: half a wave to one
+    over each range, the phases fixed by the golden ratio. Equation (sim-factors).
     """
     u = (np.asarray(speed) - speeds[0]) / (speeds[1] - speeds[0])
     # One load alone lies at the lower end.
@@ -173,7 +164,6 @@ def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSp
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    """Other grooves, and a viscosity that falls with the square of the speed."""
     film = virtual.nominal.place.film("a virtual run-up")
     clearance = film.clearance * (1 + virtual.clearance_error)
     highest = 2 * np.pi * virtual.speeds[1]
@@ -182,8 +172,7 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
         thinner = (1 + virtual.viscosity_error) * (
             1 - virtual.heating * np.minimum(np.asarray(speed) / highest, 1.2) ** 2
         )
-        # The viscosity enters through the Sommerfeld number alone, so speeds may be scaled in its place, and
-        # damping scaled back.
+        # The viscosity enters by the Sommerfeld number alone: speeds are scaled in its place, damping back.
         bearing = replace(film, clearance=clearance, groove_width=virtual.groove_width)
         rig = replace(virtual.nominal, place=replace(virtual.nominal.place, bearing=bearing), tabulated=None)
         stiffness, damping = rig.start_coefficients(load, np.asarray(speed) * thinner)
@@ -193,7 +182,7 @@ def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
 
 
 def run_ups(virtual: VirtualUnbalanceRig, seed: int, names: Sequence[str] | None = None) -> tuple[RunUp, ...]:
-    """The named runs (all unless named); with independent noise, at the speeds where the rotor is stable."""
+    """The named runs, or all, with independent noise, at the speeds where the rotor is stable."""
     chosen = virtual_rigs.chosen_runs(virtual, names)
     return tuple(_run(virtual, name, virtual_rigs.generator(seed, name)) for name in chosen)
 

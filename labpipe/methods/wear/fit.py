@@ -21,14 +21,13 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.wear import search
 from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
-from labpipe.quantities import UnitError, si_amount
+from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse
 
-# Further minima count while their chi-square lies less than this above the least: the 99 % quantile for two
-# parameters.
+# Excess of chi-square below which further minima count: the 99 % quantile for two parameters.
 RIVAL = 9.21
 AT_BOUND = 1e-4
 # Share by which the speeds of a test and of its rotor file may differ.
@@ -78,7 +77,7 @@ NO_ANGLE = Finding(
 
 
 def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
-    """A finding where a healthy bearing is not ruled out; *mismatch*: the residual exceeds the noise."""
+    """Where a healthy bearing is not ruled out; *mismatch*: the residual exceeds the noise."""
     if probability < PROBABLY_WORN:
         return []
     odds = f"the probability of no wear is {probability:.3g} (prior: even odds, wear uniform over the range)"
@@ -97,8 +96,7 @@ def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: 
     )
 
 
-# Number of further minima that are refined as the best one is, and their largest excess of chi-square,
-# relative.
+# Further minima that are refined as the best one is, at most, and their relative excess of chi-square.
 MOST_RIVALS, NEAR = 3, 0.5
 LEAST_SENSITIVITY = 1e-6
 # Increase of chi-square below which zero wear fits as well as the best wear.
@@ -111,8 +109,6 @@ NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 @dataclass(frozen=True)
 class _Solved:
-    """All minima, the best first, misfit [std. dev.], covariances (n, n), least chi-square unworn."""
-
     misfit: Misfit
     minima: tuple[search.Minimum, ...]
     noise_covariance: FloatArray
@@ -135,9 +131,8 @@ class _Solved:
 
 
 def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
-    """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response,
-    as one Fit. ConfigError where settings, rotor and response do not fit together, FitError where the
-    response cannot support the fit.
+    """Depth and angle of wear (or, of a healthy rig, its viscosity, clearance, ...) that explain a response.
+    ConfigError where settings, rotor and response do not fit together, FitError where it cannot support them.
     """
     wear: WearSettings = settings.model_settings
     _check_speed(response, wear)
@@ -146,7 +141,6 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     estimate = _estimate(solved)
     parameters, findings = _report(solved, estimate)
     frequency, name = measured.frequency, NAMES[wear.objective]
-    lines = np.isin(response.frequency, frequency)
     band = settings.band or (float(frequency[0]), float(frequency[-1]))
     fit = replace(
         reported_fit(settings, estimate, parameters, band, frequency.size, solved.misfit.n_prior),
@@ -154,7 +148,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         findings=(
             *_estimate_findings(solved, estimate, "" if wear.objective == "complex" else name),
             *findings,
-            *diagnostics.quality_findings(response, [0, 1], [0, 1], lines),
+            *diagnostics.quality_findings(response, [0, 1], [0, 1], measured.lines),
         ),
         notes=(search_note(solved.minima, wear, solved.misfit.model.film_mesh),),
         curve=_curve(measured, solved),
@@ -165,17 +159,17 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 def _check_speed(response: FrequencyResponse, wear: WearSettings) -> None:
     try:
-        speed, unit = si_amount(response.conditions.get("speed", ""))
+        speed = parse_value(response.conditions.get("speed", "").partition("+-")[0], "Hz")
     except UnitError:
         return
-    if wear.rig is not None and unit == "Hz" and abs(speed - wear.rig.speed) > SAME_SPEED * wear.rig.speed:
+    if wear.rig is not None and abs(speed - wear.rig.speed) > SAME_SPEED * wear.rig.speed:
         what = f"the test ran at {speed:g} Hz, the rotor of its fit turns at {wear.rig.speed:g} Hz"
         raise ConfigError(what, hint="name a rotor file of that speed with wear.rotor")
 
 
 def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_parameter: int) -> list[Source]:
-    """Change (n_parameter,) [parameter units] by each source of systematic error: one step of the fit from
-    its minimum, C J^T r. Sources are the sensors, and numbers of the rotor's bearings that are not estimated.
+    """Change (n_parameter,) [parameter units] by each error of the sensors and of the bearings' numbers that
+    are not estimated: one step of the fit from its minimum, C J^T r.
     """
     misfit, best, objective = solved.misfit, solved.best.parameters, wear.objective
     uncertainties = misfit.model.rig.sources
@@ -253,11 +247,10 @@ def _rank(misfit: Misfit, candidates: list[search.Minimum]) -> tuple[Misfit, lis
 
 def _estimate(solved: _Solved) -> Estimate:
     misfit, best, dof = solved.misfit, solved.best, solved.dof
-    measured, names = misfit.receptance, misfit.model.names
-    jacobian, sensitive = misfit.jacobian(best.parameters), list(_sensitive_parameters(solved))
+    measured, sensitive = misfit.receptance, list(_sensitive_parameters(solved))
     measured_terms = measured.terms(measured.measured.matrix)
     modelled = measured.terms(misfit.model.response(best.parameters)[0])
-    r2, adjusted = determination(measured_terms, measured_terms - modelled, len(names))
+    r2, adjusted = determination(measured_terms, measured_terms - modelled, len(misfit.model.names))
     reduced, p_value = None, None
     if misfit.weighted:
         reduced = best.chi2 / misfit.excess / dof
@@ -265,7 +258,7 @@ def _estimate(solved: _Solved) -> Estimate:
     return Estimate(
         values=best.parameters,
         covariance=solved.covariance,
-        scaled_design=triangle_of(jacobian[:, sensitive]) if sensitive else np.eye(1),
+        scaled_design=triangle_of(misfit.jacobian(best.parameters)[:, sensitive]) if sensitive else np.eye(1),
         gof=Goodness(r2, adjusted, reduced, p_value),
         dof=dof,
         converged=best.converged,
@@ -317,14 +310,16 @@ def _parameter(
     name, scale = model.names[number], float(model.scale[number])
     value = scale * float(solved.best.parameters[number])
     error = scale * float(np.sqrt(solved.covariance[number, number]))
-    at_bound = name in bounds_reached(solved.misfit, solved.best)
+    at_bound, open_angle = (
+        name in bounds_reached(solved.misfit, solved.best),
+        name == ANGLE and not identifiable,
+    )
+    ends = None if interval is None else (scale * interval.low, scale * interval.high)
+    if at_bound or open_angle:
+        ends = None if open_angle else ends
+        return Parameter(name, value, UNITS[name], vif=vif, ci95=ends, at_bound=at_bound)
     parameter = estimated(name, UNITS[name], value, error, solved.dof, vif)
-    if interval is not None:
-        parameter = replace(parameter, ci95=(scale * interval.low, scale * interval.high))
-    if at_bound or (name == ANGLE and not identifiable):
-        ends = None if interval is None or (name == ANGLE and not identifiable) else parameter.ci95
-        parameter = Parameter(name, value, UNITS[name], vif=vif, ci95=ends, at_bound=at_bound)
-    return parameter
+    return parameter if ends is None else replace(parameter, ci95=ends)
 
 
 def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list[Finding]:

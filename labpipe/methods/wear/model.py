@@ -1,6 +1,4 @@
-"""The response of a rotor as a function of wear depth and angle, viscosity, clearance, cavitation pressure
-and shaft damping.
-"""
+"""The response of a rotor as a function of wear and of what is tuned: viscosity, clearance, ..."""
 
 from __future__ import annotations
 
@@ -17,12 +15,13 @@ from labpipe.estimation.measured import Measured, matrix_errors, measured_part
 from labpipe.estimation.model import labels
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import equal_weights, has_noise, weight_uncertainty, whitened, whitener
+from labpipe.methods.journal_bearing.curve import TableRange
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import Rotor
 from labpipe.methods.wear import tables
-from labpipe.methods.wear.settings import ANGLE, DEPTH, Gaussian, WearSettings
+from labpipe.methods.wear.settings import ANGLE, DEPTH, REACH, Gaussian, WearSettings
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import lines_in
@@ -30,8 +29,6 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, directio
 from labpipe.spectra.damping import half_power
 from labpipe.spectra.matrices import without_rounding
 
-# Range of a nuisance parameter about its prior mean, in prior standard deviations.
-REACH = 4.0
 # Relative step of the difference by the shaft's damping, in which the response is smooth.
 BETA_STEP = 1e-3
 # Margin of the tables beyond the bounds, for rounding.
@@ -41,9 +38,8 @@ SCALES = {DEPTH: 1e-6, ANGLE: float(np.deg2rad(1.0))}
 
 @dataclass(frozen=True, kw_only=True)
 class WornModel:
-    """A rig's response on *frequency* [Hz]; *names* in the order of the parameters, all scaled: value [SI] =
-    scale * parameter. low, high (n,): bounds of the scaled parameters; prior: of the nuisance parameters
-    among them, in SI units.
+    """A rig's response on *frequency* [Hz] by the parameters *names*, all scaled: value [SI] = scale (n,) *
+    parameter; low, high (n,): their bounds; prior: of the nuisance parameters among them [SI units].
     """
 
     rig: RotorRig
@@ -59,24 +55,20 @@ class WornModel:
 
     @property
     def film_mesh(self) -> FilmMesh:
-        """The mesh of the films that refine a minimum: four times the tables' cells around the journal, twice
-        those across. Around it they follow the film's front and the edges of wear.
+        """The mesh of the films that refine a minimum; around the journal it follows the film's front and the
+        edges of wear.
         """
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
     def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
-        """The model with the films' coefficients and slopes at scaled parameters (n,) [1], on the films' own
-        mesh.
-        """
+        """The model with the films' own coefficients, and slopes, at scaled parameters (n,) [1]."""
         values, mesh = self.values(parameters), self.film_mesh
         return replace(
             self, bearings=tuple(bearing.refined(values, mesh, with_slopes) for bearing in self.bearings)
         )
 
     def with_mesh_error(self, parameters: FloatArray) -> tuple[WornModel, ...]:
-        """One model for every oil film, refined before, with the error of that film's mesh at scaled
-        parameters (n,) [1] added.
-        """
+        """For every oil film, refined before, the model with the error of its mesh at parameters (n,) [1]."""
         values = self.values(parameters)
         models = []
         for number, bearing in enumerate(self.bearings):
@@ -125,8 +117,8 @@ def _reduced_rotor(
 
 
 def worn_model(settings: WearSettings, frequency: FloatArray) -> WornModel:
-    """The model of a fit on its lines *frequency* (n_line,) [Hz]. FitError without a rotor, ConfigError where
-    settings and rotor do not fit together.
+    """The model of a fit on its lines *frequency* (n_line,) [Hz]. FitError without a rotor, ConfigError for
+    settings that it does not fit.
     """
     if settings.rig is None:
         raise FitError("no rotor was read for this fit", hint="name it with wear.rotor")
@@ -168,7 +160,7 @@ def _centre(rig: RotorRig, centre: dict[str, float]) -> RotorRig:
 
 def _reach(
     settings: WearSettings, prior: Gaussian, rig: RotorRig
-) -> tuple[tables.Ranges, dict[str, tuple[float, float]]]:
+) -> tuple[TableRange, dict[str, tuple[float, float]]]:
     box = {DEPTH: (0.0, settings.depth_limit), ANGLE: (-settings.angle_limit, settings.angle_limit)}
     for name, mean, std in zip(prior.names, prior.mean, prior.std, strict=True):
         low, high = box.get(name, (-np.inf, np.inf))
@@ -181,7 +173,8 @@ def _reach(
     lowest = min(
         [box.get("cavitation_pressure", (0.0,))[0], *(1.25 * film.cavitation_pressure for film in films)]
     )
-    return tables.Ranges(settings.depth_limit, settings.angle_limit, viscosity, clearance, lowest), box
+    limits = settings.depth_limit, settings.angle_limit
+    return tables.table_range(*limits, viscosity, clearance, cavitation_pressure=lowest), box
 
 
 def _factor(prior: Gaussian, box: dict[str, tuple[float, float]], name: str) -> float:
@@ -200,13 +193,14 @@ SMALL_ANGLE = 1e-5
 
 @dataclass(frozen=True)
 class WornReceptance:
-    """The measured receptance on the fit's lines in its frame, *measured* (n_line, 2, 2), and the *places* of
-    the terms used. *errors*: what sources of systematic error do to it, in the same frame.
+    """The receptance *measured* (n_line, 2, 2) [m/N] on the fit's *lines*, a mask (n_frequency,), in its
+    frame; *places* of the terms used; *errors*: what sources of systematic error do to it.
     """
 
     measured: Measured
     places: tuple[int, ...]
     names: tuple[str, str]
+    lines: BoolArray
     errors: tuple[MatrixError, ...] = ()
 
     @property
@@ -228,9 +222,7 @@ class WornReceptance:
 
 
 def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: WearSettings) -> WornReceptance:
-    """Lines, frame and terms of a fit. ConfigError where they do not fit the response, FitError where nothing
-    is left.
-    """
+    """Lines, frame and terms of a fit; ConfigError where the response has none such, FitError for no line."""
     left, right = _turn(response, wear.response)
     lines = _lines(response, settings.band, wear)
     measured = measured_part(response, [0, 1], [0, 1], lines)
@@ -241,7 +233,7 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
     errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
     errors += _of_directions(response, wear.response, measured.matrix)
-    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], tuple(errors))
+    return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], lines, tuple(errors))
 
 
 def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
@@ -269,20 +261,16 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
         ports = f"responses {labels(response.outputs)}, forces {labels(response.inputs)}"
         what = f"worn-bearing takes two responses and two forces, found {ports}"
         raise ConfigError(what, hint="excite in y, then in z")
-    left = np.linalg.inv(_sensing(response.outputs))
+    # (responses) = P (y, z): P of the sensors' directions, or A^-1 of forward and backward.
+    directional = _is_directional(response.outputs)
+    sensing = np.linalg.inv(FROM_DIRECTIONAL) if directional else _in_yz(response.outputs, "responses")
+    left = np.linalg.inv(sensing)
     right = np.linalg.inv(
         FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
     )
     if frame == "dFRF":
         return np.linalg.inv(FROM_DIRECTIONAL) @ left, right @ FROM_DIRECTIONAL
     return left, right
-
-
-def _sensing(ports: tuple[Port, ...]) -> ComplexArray:
-    """P of (responses) = P (y, z): directions of the sensors, or A^-1 of forward and backward."""
-    if _is_directional(ports):
-        return np.linalg.inv(FROM_DIRECTIONAL)
-    return _in_yz(ports, "responses")
 
 
 def _is_directional(ports: tuple[Port, ...]) -> bool:
@@ -329,9 +317,8 @@ Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 
 @dataclass
 class Misfit:
-    """Residual (n_equation,) [1] and its Jacobian at scaled parameters; unit variance for a right model once
-    *size* is known. size: standard deviation of the residual as `compared` gives it; 1 where the noise of the
-    FRF is known. The prior's rows stand last.
+    """Residual (n_equation,) [1] and its Jacobian at scaled parameters, the prior's rows last: what
+    `compared` gives over its standard deviation *size*, which is 1 where the noise of the FRF is known.
     """
 
     model: WornModel
@@ -345,7 +332,7 @@ class Misfit:
     _last: tuple[bytes, FloatArray, FloatArray] | None = field(default=None, repr=False)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """Weighted residual (n_equation,) [1] at scaled parameters (n,), the prior's rows last."""
+        """Weighted residual (n_equation,) [1] at scaled parameters (n,)."""
         return self._at(parameters)[0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
@@ -353,7 +340,7 @@ class Misfit:
         return self._at(parameters)[1]
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] at scaled parameters (n,), the prior's rows included."""
+        """Sum of squares [1] at scaled parameters (n,)."""
         residual = self.residual(parameters)
         return float(residual @ residual)
 
@@ -390,17 +377,15 @@ def _prior_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
 
 
 def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance; equal weights
-    where no noise is known. A covariance estimated from few averages inflates the residual: it is scaled back
-    so that its weight beside the prior is right. Equation (wear-complex).
+    """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance (equal weights
+    where no noise is known), scaled back by what few averages inflate it. Equation (wear-complex).
     """
     chosen = measured.chosen
     weighted = has_noise(chosen)
     weights = whitener(chosen) if weighted else equal_weights(chosen)
-    size, excess = 1.0, 1.0
+    size = excess = 1.0
     if weighted:
-        dof = max(chosen.n_equation - len(model.names), 1)
-        uncertainty = weight_uncertainty(measured.measured, dof)
+        uncertainty = weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1))
         size = float(np.sqrt(uncertainty.inflation))
         excess = uncertainty.excess / uncertainty.inflation
 
@@ -411,9 +396,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
 
 
 def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
-    """log10(|H_model| / |H_measured|) of every line and term, all alike (Mendes et al. 2017). Equation
-    (wear-log).
-    """
+    """log10(|H_model| / |H_measured|) of every line and term (Mendes et al. 2017). Equation (wear-log)."""
     matrix = measured.chosen.matrix
     if silent := measured.frequency[np.any(matrix == 0, axis=(1, 2))].tolist():
         what = f"a term at {silent[0]:g} Hz is zero, which has no logarithm"

@@ -1,6 +1,4 @@
-"""The figures of worn-bearing fits: where depth and angle lie together, and a model before and after its
-tuning.
-"""
+"""The figure of worn-bearing fits: where depth and angle lie together."""
 
 from __future__ import annotations
 

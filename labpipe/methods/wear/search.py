@@ -1,7 +1,5 @@
-"""Minima of the misfit, profile intervals and joint regions, the probability of a healthy bearing.
-
-The change of the coefficients from half the cells moves the estimate; a third of it is the standard deviation
-of the mesh's own error.
+"""Minima of the misfit, profile intervals and joint regions, the probability of a healthy bearing, and what
+the mesh of the films adds.
 """
 
 from __future__ import annotations
@@ -27,12 +25,10 @@ TOLERANCE = 1e-10
 # The same until the minima that starts share are known.
 START_TOLERANCE = 1e-5
 MOST_EVALUATIONS = 60
-# Change of a refined minimum, in standard errors, that counts as converged, and the largest number of
-# corrections.
+# Change of a refined minimum, in standard errors, that counts as converged, and most corrections.
 SETTLED, MOST_REFINEMENTS = 0.03, 12
-# The films' slopes cost several films each: they are computed once the last correction moved the minimum by
-# less than NEAR standard errors, at the latest in round LATEST (from 0), and again after one that moves it by
-# more than FAR, SLOPE_ROUNDS times at most.
+# The films' slopes cost several films each: they are computed once a correction moved the minimum by less
+# than NEAR standard errors or in round LATEST, again after a move beyond FAR, SLOPE_ROUNDS times at most.
 NEAR, LATEST, FAR, SLOPE_ROUNDS = 3.0, 2, 1.0, 3
 
 
@@ -48,9 +44,7 @@ class Minimum:
 
 
 def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
-    """Every start (n,), scaled [1]: depths by angles, the other parameters at their prior mean. That alone
-    where wear is known before.
-    """
+    """Every start (n,), scaled [1]: depths by angles, unless wear is known, the rest at its mean."""
     model = misfit.model
     mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
     if DEPTH not in model.names or DEPTH in model.prior.names:
@@ -66,12 +60,9 @@ def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
 def descend(
     misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE
 ) -> Minimum:
-    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: indices of the parameters that move
-    (default: all).
-    """
+    """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: those that move, by default all."""
     moving = list(range(start.size)) if free is None else list(free)
-    model, whole = misfit.model, np.array(start, float)
-    low, high = model.low[moving], model.high[moving]
+    whole, low, high = np.array(start, float), misfit.model.low[moving], misfit.model.high[moving]
 
     def full(moved: FloatArray) -> FloatArray:
         point = whole.copy()
@@ -81,17 +72,11 @@ def descend(
     if not moving:
         return Minimum(whole, misfit.chi2(whole), 1, True, 1)
 
-    def residual(moved: FloatArray) -> FloatArray:
-        return misfit.residual(full(moved))
-
-    def jacobian(moved: FloatArray) -> FloatArray:
-        return misfit.jacobian(full(moved))[:, moving]
-
     inward = 1e-6 * (high - low)
     solution = scipy.optimize.least_squares(
-        residual,
+        lambda moved: misfit.residual(full(moved)),
         np.clip(whole[moving], low + inward, high - inward),
-        jacobian,
+        lambda moved: misfit.jacobian(full(moved))[:, moving],
         (low, high),
         xtol=tolerance,
         ftol=tolerance,
@@ -102,9 +87,7 @@ def descend(
 
 
 def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
-    """The distinct minima of all scaled starts (n,) [1], the lowest first. FitError when no start leads to a
-    finite misfit.
-    """
+    """Distinct minima of all scaled starts (n,) [1], the lowest first; FitError where none is finite."""
     rough = _rank([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
     candidates = _rank([_continue(misfit, minimum) for minimum in merge(rough)])
     if not np.isfinite(candidates[0].chi2):
@@ -145,11 +128,9 @@ def _is_same(first: FloatArray, second: FloatArray) -> bool:
 def refine(
     misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None, hopeless: float = np.inf
 ) -> tuple[Misfit, Minimum]:
-    """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly.
-
-    The first corrections have the tables' slopes, since they move the minimum furthest, the next one the
-    films' own. The minimum is marked as not converged where this does not settle; beyond a chi-square that is
-    *hopeless* it is left as it stands.
+    """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly,
+    first with the tables' slopes, then with the films' own. Not converged where this does not settle, or
+    beyond a chi-square that is *hopeless*.
     """
     slopes, moved = 0, np.inf
     for number in range(MOST_REFINEMENTS):
@@ -174,9 +155,7 @@ PROFILE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Interval:
-    """Ends of a profile interval in scaled units; *open*: whether it ends at the bound only because the range
-    does.
-    """
+    """Ends of a profile interval, scaled; *open*: whether it ends only because the range does."""
 
     low: float
     high: float
@@ -187,10 +166,8 @@ class Interval:
 def profile_interval(
     misfit: Misfit, best: Minimum, number: int, std_error: float, limit: float = 1.96
 ) -> Interval:
-    """Where the root of the misfit's increase reaches *limit* standard deviations, all other parameters
-    re-estimated.
-
-    *std_error*: a first guess of the distance for one standard deviation, scaled. Equation (wear-profile).
+    """Where the root of the misfit's increase reaches *limit*, all other parameters re-estimated;
+    *std_error*: a first guess of the distance for one, scaled. Equation (wear-profile).
     """
     ends = [_end(misfit, best, number, side, std_error, limit) for side in (-1, 1)]
     return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
@@ -227,8 +204,7 @@ def _end(
 def profile_distance(misfit: Misfit, best: Minimum, fixed: dict[int, float]) -> float:
     """sqrt(chi2 - chi2_min) with some parameters fixed at scaled values and the others estimated again."""
     start = best.parameters.copy()
-    for number, value in fixed.items():
-        start[number] = value
+    start[[*fixed]] = [*fixed.values()]
     free = [number for number in range(start.size) if number not in fixed]
     return float(np.sqrt(max(descend(misfit, start, free, PROFILE_TOLERANCE).chi2 - best.chi2, 0.0)))
 
@@ -236,10 +212,8 @@ def profile_distance(misfit: Misfit, best: Minimum, fixed: dict[int, float]) -> 
 def joint_region(
     misfit: Misfit, best: Minimum, covariance: FloatArray, level: float = 0.95, directions: int = 24
 ) -> FloatArray:
-    """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1];
-    *covariance* (n, n), scaled.
-
-    Along rays from the estimate, in units of the covariance's ellipse, to where the profile increases by the
+    """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1]: along
+    rays from the estimate, in units of the *covariance* (n, n), to where the profile increases by the
     chi-square quantile of two parameters; cut at the bounds. Equation (wear-region).
     """
     limit = float(np.sqrt(chi2_quantile(level, 2)))
@@ -259,22 +233,18 @@ def joint_region(
     return np.array(outline)
 
 
-# Increase of chi-square beyond which the integral over wear is that of one narrow peak.
-NARROW = 20.0
-# The same beyond which nothing that refining could change brings the probability of no wear back from zero.
-HOPELESS = 6000.0
+# Increase of chi-square beyond which the integral over wear is that of one narrow peak, and beyond which no
+# refining brings the probability of no wear back from zero.
+NARROW, HOPELESS = 20.0, 6000.0
 N_DEPTH, N_ANGLE = 13, 5
 # Mesh around the best wear, in standard errors.
 AROUND = np.linspace(-3.0, 3.0, 7)
-# Least information on a parameter without sensitivity, as the angle at zero depth: a standard error of 10,000
-# scaled units.
+# Least information on a parameter, as the angle at zero depth: a standard error of 10,000 scaled units.
 LEAST_INFORMATION = 1e-8
 
 
 def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
-    """Minimum at zero depth, refined on the films. No start leads there, because the slope by depth is
-    zero.
-    """
+    """Minimum at zero depth, refined on the films; no start leads there, where the slope by depth is zero."""
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
     refined_misfit, healthy = refine(misfit, healthy, nuisances, best.chi2 + HOPELESS)
@@ -282,10 +252,9 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
 
 
 def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> float:
-    """P(no wear | response), even odds before, and wear evenly likely over the whole range of depth and
-    angle. 1 / (1 + B), B the mean over that range of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other
-    parameters estimated again at every point (their spread is the same with and without wear, so it cancels).
-    Equation (wear-healthy).
+    """P(no wear | response) = 1 / (1 + B), even odds before and wear evenly likely over its range: B is the
+    mean there of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters estimated again at every
+    point (their spread cancels). Equation (wear-healthy).
     """
     gain = healthy_chi2 - best.chi2
     share = _peak_share(misfit, best) if gain > NARROW else _mean_likelihood(misfit, best)
@@ -326,13 +295,10 @@ def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> Flo
     return np.unique(both[(both >= low) & (both <= high)])
 
 
-# Error of a wear identification by the finite cells of its oil films.
-
-
 def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films;
-    zero where there is no film. Sum over the films of b b^T with b = -covariance J^T dr, dr the change of the
-    residual by the film's error; *covariance* (n, n) [1]: that of the noise. Equation (wear-film).
+    """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films:
+    sum of b b^T with b = -covariance J^T dr, dr the change of the residual by a film's error and *covariance*
+    (n, n) [1] that of the noise. Equation (wear-film).
     """
     residual, jacobian = misfit.residual(parameters), misfit.jacobian(parameters)
     total = np.zeros_like(covariance)
@@ -344,9 +310,7 @@ def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArr
 
 
 def widen(interval: Interval, best: float, distance: float, low: float, high: float) -> Interval:
-    """A profile interval about *best* with each half-width w replaced by sqrt(w^2 + *distance*^2), within
-    *low* and *high*; all scaled.
-    """
+    """An interval about *best* with half-widths sqrt(w^2 + *distance*^2), within *low* and *high*; scaled."""
     first = best - np.hypot(best - interval.low, distance)
     last = best + np.hypot(interval.high - best, distance)
     return Interval(
@@ -358,8 +322,6 @@ def widen(interval: Interval, best: float, distance: float, low: float, high: fl
 
 
 def widened_region(outline: FloatArray, best: FloatArray, noise: FloatArray, film: FloatArray) -> FloatArray:
-    """An outline (n, 2) about *best* (2,) for the covariance *noise* (2, 2), stretched to noise and *film*
-    (2, 2); all scaled [1].
-    """
+    """An *outline* (n, 2) about *best* (2,) by *noise* (2, 2), stretched to noise and *film* (2, 2) [1]."""
     stretch = np.linalg.cholesky(noise + film) @ np.linalg.inv(np.linalg.cholesky(noise))
     return best + (outline - best) @ stretch.T

@@ -23,13 +23,16 @@ TERMS = ("full", "direct", "cross")
 OBJECTIVES = ("complex", "log")
 # Parameters that can be estimated together with the wear: name of the setting, unit.
 NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
+POSITIVE = ("viscosity", "clearance", "beta")
 DEPTH, ANGLE = "wear_depth", "wear_angle"
+# Range of a nuisance parameter about its prior mean, in prior standard deviations.
+REACH = 4.0
 UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Joint normal distribution of parameters: names, mean (n,) and covariance (n, n) in SI units."""
+    """Joint normal distribution of parameters: names, mean (n,), covariance (n, n) [SI units]."""
 
     names: tuple[str, ...]
     mean: tuple[float, ...]
@@ -126,24 +129,30 @@ class WearSettings(Settings):
         if self.prior and self.nuisances:
             what = f"'prior' already covers {', '.join(self.nuisances)}"
             raise SettingError("prior", what, "leave one of them out")
-        if self.healthy and not self.nuisances:
-            hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
-            raise SettingError("healthy", "nothing to tune", hint)
         self._check_nuisances()
         assert self.mesh
         if self.rig is not None and not self.healthy:
             worn_place(self.rig, self.bearing)
 
     def _check_nuisances(self) -> None:
+        if self.healthy and self.bearing:
+            what = "'bearing' names a worn one; a healthy rig is tuned in all of them"
+            raise SettingError("bearing", what, "leave it out")
+        if self.healthy and not self.nuisances:
+            hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
+            raise SettingError("healthy", "nothing to tune", hint)
         for name, nuisance in self._given.items():
-            if name == "cavitation_pressure":
-                if nuisance.value > 0:
-                    raise SettingError(name, f"'{name}' is above the ambient pressure", "give zero or less")
-            elif not nuisance.value > 0:
+            if name in POSITIVE and not nuisance.value > 0:
                 raise SettingError(name, f"'{name}' must be positive")
-            elif nuisance.std_error > 0.25 * nuisance.value:
-                what = f"standard error of '{name}' above 25 %"
-                raise SettingError(name, what, "give a smaller uncertainty")
+            if name not in POSITIVE and nuisance.value > 0:
+                raise SettingError(name, f"'{name}' is above the ambient pressure", "give zero or less")
+        prior = self.nuisance_prior
+        for name, mean, std in zip(prior.names, prior.mean, prior.std.tolist(), strict=True):
+            # The search reaches as many standard errors to either side, and no further than to zero.
+            if name in POSITIVE and REACH * std >= mean:
+                what = f"standard error of '{name}' not below {100 / REACH:g} %"
+                key = name if self.posterior is None else "prior"
+                raise SettingError(key, what, "give a smaller uncertainty")
 
     @property
     def mesh(self) -> FilmMesh:
@@ -162,7 +171,7 @@ class WearSettings(Settings):
 
     @property
     def nuisance_prior(self) -> Gaussian:
-        """Prior of the nuisance parameters: the posterior of a tuning, or the settings' values."""
+        """The posterior of a tuning, or the settings' values."""
         if self.posterior is not None:
             return self.posterior
         nuisances = [self._given[name] for name in self.nuisances]
@@ -181,9 +190,7 @@ LEAST_SHARE = 1e-3
 
 
 def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """Settings with the posterior of the earlier fit that `prior` names; unchanged without `prior`.
-    ConfigError if there is no such fit, or several.
-    """
+    """Settings with the posterior of the fit that `prior` names; ConfigError where there is not one."""
     wear: WearSettings = settings.model_settings
     if not wear.prior:
         return settings
@@ -203,9 +210,8 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
 
 
 def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
-    """Mean and covariance of the tuned parameters of a fit, [SI units]; of depth and angle as well where it
-    was of the *same_wear*. Standard errors are taken as inflated where the residual exceeds the noise;
-    ConfigError where the fit tuned nothing.
+    """Mean and covariance of the tuned parameters of a fit [SI units], of depth and angle as well where it
+    was of the *same_wear*, inflated where its residual exceeds the noise. ConfigError where it tuned nothing.
     """
     estimated = [parameter for parameter in fit.parameters if not parameter.derived]
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)

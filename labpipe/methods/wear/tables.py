@@ -27,32 +27,22 @@ from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 @dataclass(frozen=True)
 class VaryingSupport:
-    """A bearing with the derivatives of its coefficients by *n* parameters: stiffness_slopes, damping_slopes
-    (n, 2, 2) [SI].
-    """
+    """A bearing, and the derivatives of its coefficients by *n* parameters, (n, 2, 2) [SI] each."""
 
     support: Support
     stiffness_slopes: FloatArray
     damping_slopes: FloatArray
 
-    def __post_init__(self) -> None:
-        shape = self.stiffness_slopes.shape
-        if shape != self.damping_slopes.shape or shape[1:] != (2, 2):
-            what = f"the bearing on node {self.support.node} needs one 2 x 2 derivative per parameter"
-            raise ConfigError(what)
-
 
 def response_with_slopes(
     rotor: ReducedRotor, bearings: Iterable[VaryingSupport], output: int, force: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """H (n_line, 2, 2) [m/N] from forces in y and z at a node to displacements at another, and dH/dp (n,
-    n_line, 2, 2). *bearings* are added to *rotor* and share their parameters; bearings, output and force are
-    nodes of the reduced rotor. Equation (rotor-slopes).
+    """H (n_line, 2, 2) [m/N] from forces at a node to displacements at another, and dH/dp (n, n_line, 2, 2).
+    *bearings*, added to *rotor*, share their parameters; all nodes are its own. Equation (rotor-slopes).
     """
     bearings = list(bearings)
     response, to_output, from_force = rotor.paths([bearing.support for bearing in bearings], output, force)
-    # Of every bearing and element of its coefficients H_ob H_bf: all parameters together are one product of
-    # matrices.
+    # H_ob H_bf of every bearing and element of its coefficients: all parameters are one product of matrices.
     elements = np.ndindex(len(bearings), 2, 2)
     places = [(2 * number + row, 2 * number + column) for number, row, column in elements]
     products = np.empty((2, len(places), rotor.omega.size, 2, 2), np.complex128)
@@ -74,19 +64,15 @@ def forward_backward(matrix: ComplexArray) -> ComplexArray:
 # Nodes of depth and angle by the number of further axes. The search uses tables; minima are refined on the
 # films.
 WEAR_NODES = ((41, 9), (21, 7), (13, 5))
-# Further axes: nodes along them, and along the Sommerfeld number where it varies by less than this factor
-# either way.
+# Nodes along further axes, and of the Sommerfeld number where it varies by less than a factor either way.
 FURTHER_NODES = 4
 NARROW, NARROW_NODES = 1.1, 3
-# Largest change of the displacement over clearance in the last step of a table's equilibria: far below what
-# lies between its nodes.
+# Change of displacement over clearance in the last step of a table's equilibria, far below its nodes'.
 TABLE_TOLERANCE = 1e-5
-# The same of a film that corrects a table: tight, so that coefficients do not depend on the film it started
-# from.
+# The same of a film that corrects a table: tight, whatever film it started from.
 FILM_TOLERANCE = 1e-9
 WEAR = ("wear_depth", "wear_angle")
-# Steps of the film's differences: depth [m], angle [rad], viscosity and clearance relative, cavitation
-# pressure [Pa].
+# Steps of the film's differences, relative for viscosity and clearance [m, rad, 1, 1, Pa].
 STEPS = {
     "wear_depth": 1e-6,
     "wear_angle": float(np.deg2rad(1.0)),
@@ -96,39 +82,27 @@ STEPS = {
 }
 
 
-@dataclass(frozen=True)
-class Ranges:
-    """What the tables must cover: factors of viscosity and clearance up and down, lowest cavitation pressure
-    [Pa]; wear limits.
+def table_range(depth: float, angle: float, *factors: float, cavitation_pressure: float = 0.0) -> TableRange:
+    """What the tables must cover: wear limits [m, rad], *factors* of viscosity and clearance up and down,
+    lowest cavitation pressure [Pa].
     """
-
-    depth: float
-    angle: float
-    viscosity_factor: float = 1.0
-    clearance_factor: float = 1.0
-    cavitation_pressure: float = 0.0
-
-    @property
-    def wide(self) -> bool:
-        return self.viscosity_factor > 1 or self.clearance_factor > 1 or self.cavitation_pressure < 0
-
-    def of_table(self, worn: bool) -> TableRange:
-        """The table's axes, of a worn bearing or of one without wear."""
-        further = (self.viscosity_factor > 1 or self.clearance_factor > 1) + (self.cavitation_pressure < 0)
-        n_depth, n_angle = WEAR_NODES[further]
-        ranges = TableRange(
-            **{**vars(self), "depth": self.depth if worn else 0.0},
-            n_depth=n_depth,
-            n_angle=n_angle,
-            n_sommerfeld=FURTHER_NODES,
-            n_cavitation=FURTHER_NODES,
-            tolerance=TABLE_TOLERANCE,
-        )
-        return replace(ranges, n_sommerfeld=NARROW_NODES) if ranges.sommerfeld_factor < NARROW else ranges
+    viscosity, clearance = factors or (1.0, 1.0)
+    further = (max(viscosity, clearance) > 1) + (cavitation_pressure < 0)
+    return TableRange(
+        depth=depth,
+        angle=angle,
+        viscosity_factor=viscosity,
+        clearance_factor=clearance,
+        cavitation_pressure=cavitation_pressure,
+        n_depth=WEAR_NODES[further][0],
+        n_angle=WEAR_NODES[further][1],
+        n_sommerfeld=NARROW_NODES if viscosity * clearance**2 < NARROW else FURTHER_NODES,
+        n_cavitation=FURTHER_NODES,
+        tolerance=TABLE_TOLERANCE,
+    )
 
 
 def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and damping (2, 2, 2) of a table, and their derivatives (2, 5, 2, 2) by PARAMETERS."""
     film = table.coefficients(bearing, speed)
     slopes = np.stack([film.stiffness_slopes, film.damping_slopes])
     return np.stack([film.stiffness, film.damping]), slopes
@@ -139,15 +113,15 @@ def _point(bearing: JournalBearing) -> FloatArray:
 
 
 def film_slopes(film: JournalEquilibrium, names: Collection[str]) -> dict[str, FloatArray]:
-    """Derivatives (2, 2, 2) of stiffness and damping by parameters *names* [N/m, N s/m per SI unit], by name.
+    """Derivatives (2, 2, 2) of stiffness and damping by parameters *names* [N/m, N s/m per SI unit], by
+    differences wide enough for a film of finite cells.
 
-    By differences wide enough for a film of finite cells. Without wear K c / W and C c Omega / W depend on mu
-    / c^2 only (and on the cavitation pressure over the mean pressure): the derivative by clearance follows
-    from that by viscosity, without films of its own.
+    Without wear K c / W and C c Omega / W depend on mu / c^2 (and the cavitation pressure) only: the
+    derivative by clearance follows from that by viscosity.
     """
     alike = film.bearing.wear_depth == 0 and "clearance" in names
-    own_names = dict.fromkeys([*names, *(["viscosity"] if alike else [])])
-    slopes = {name: _difference(film, name) for name in own_names if not (alike and name == "clearance")}
+    differing = {*names, "viscosity"} - {"clearance"} if alike else names
+    slopes = {name: _difference(film, name) for name in differing}
     if alike:
         scaled = np.stack([film.stiffness, film.damping]) + 2 * film.bearing.viscosity * slopes["viscosity"]
         slopes["clearance"] = -scaled / film.bearing.clearance
@@ -170,19 +144,13 @@ def _difference(film: JournalEquilibrium, name: str) -> FloatArray:
     return change / (ends[0] - ends[1])
 
 
-@lru_cache(maxsize=32)
-def cached_table(
-    bearing: JournalBearing, load: tuple[float, float], speed: float, ranges: TableRange, mesh: FilmMesh
-) -> JournalTable:
-    """The table of a bearing under its load [N] at *speed* [rad/s]; made at the first call."""
-    return journal_table(bearing, load, speed, ranges, mesh)
+cached_table = lru_cache(maxsize=32)(journal_table)
 
 
 @dataclass(frozen=True)
 class Correction:
-    """Film minus table near one point: *offset* (2, 2, 2) of stiffness [N/m] and damping [N s/m], and its
-    *slopes*. point (5,): PARAMETERS of the bearing there [SI units]; slopes (2, 5, 2, 2): of stiffness and
-    damping, by each of them.
+    """Film minus table at a *point* (5,) of PARAMETERS [SI units]: *offset* (2, 2, 2) of stiffness [N/m] and
+    damping [N s/m], and its *slopes* (2, 5, 2, 2) by each of them.
     """
 
     point: FloatArray
@@ -190,16 +158,14 @@ class Correction:
     slopes: FloatArray
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Correction of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,) of
-        PARAMETERS.
-        """
+        """Of stiffness [N/m] and damping [N s/m], (2, 2, 2), at a nearby *point* (5,)."""
         return self.offset + np.einsum("kpij,p->kij", self.slopes, point - self.point)
 
 
 @dataclass(frozen=True)
 class TabledBearing:
-    """A bearing on its node with its table; None: a bearing that nothing varies, with its coefficients in
-    *fixed*. film: the last film that corrected it, from which the next one starts.
+    """A bearing on its node with its *table*, or *fixed* coefficients where nothing varies it. film: the last
+    one that corrected it, from which the next one starts.
     """
 
     place: BearingPlace
@@ -212,7 +178,7 @@ class TabledBearing:
     film: JournalEquilibrium | None = None
 
     def support(self, values: Mapping[str, float], names: tuple[str, ...]) -> VaryingSupport:
-        """Coefficients at *values* by name (SI units), with their derivatives by the parameters *names*."""
+        """Coefficients at *values* by name [SI], with their derivatives by the parameters *names*."""
         if self.table is None:
             assert self.fixed is not None
             return VaryingSupport(self.fixed, *np.zeros((2, len(names), 2, 2)))
@@ -227,8 +193,8 @@ class TabledBearing:
         return VaryingSupport(Support(self.place.node, *matrices), *slopes)
 
     def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
-        """This bearing with the film's own coefficients at *values*, on a finer mesh, and the table around
-        them. *with_slopes*: the film's slopes as well; else those of the last correction, made nearby.
+        """This bearing with the film's own coefficients at *values*, on a finer mesh, and its slopes as well
+        (*with_slopes*) or those of the last correction, made nearby.
         """
         if not self.place.is_film:
             return self
@@ -252,10 +218,8 @@ class TabledBearing:
         return journal_equilibrium(bearing, self.load, self.speed, mesh, self.film, FILM_TOLERANCE)
 
     def mesh_error(self, values: Mapping[str, float], mesh: FilmMesh) -> FloatArray:
-        """Estimated error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), as a
-        standard deviation with its signs.
-
-        A third of the change from half the cells each way: the error of a second-order method.
+        """Error of stiffness [N/m] and damping [N s/m] by the film's *mesh*, (2, 2, 2), a standard deviation
+        with its signs: a third of the change from half the cells each way (second order).
         """
         bearing = self._bearing(values)
         fine = self._film(bearing, mesh)
@@ -263,9 +227,7 @@ class TabledBearing:
         return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
 
     def shifted(self, change: FloatArray) -> TabledBearing:
-        """This bearing, refined before, with a constant *change* (2, 2, 2) of stiffness [N/m] and damping [N
-        s/m].
-        """
+        """This bearing, refined before, with a *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
         if (fixed := self.fixed) is not None:
             shifted = Support(self.place.node, fixed.stiffness + change[0], fixed.damping + change[1])
             return replace(self, fixed=shifted)
@@ -280,12 +242,16 @@ class TabledBearing:
 
 
 def tabulate(
-    place: BearingPlace, load: tuple[float, float], speed: float, worn: bool, ranges: Ranges, mesh: FilmMesh
+    place: BearingPlace,
+    load: tuple[float, float],
+    speed: float,
+    worn: bool,
+    ranges: TableRange,
+    mesh: FilmMesh,
 ) -> TabledBearing:
-    """A bearing of the rig with its table. ConfigError where a bearing with fixed wear would follow other
-    parameters.
-    """
-    if not worn and not (place.is_film and ranges.wide):
+    """A bearing of the rig with its table. ConfigError where one with fixed wear would follow parameters."""
+    wide = ranges.sommerfeld_factor > 1 or ranges.cavitation_pressure < 0
+    if not worn and not (place.is_film and wide):
         at = (
             journal_equilibrium(place.film("wear"), load, speed, mesh)
             if place.is_film
@@ -296,5 +262,5 @@ def tabulate(
     if bearing.wear_depth > 0 and not worn:
         what = "has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation"
         raise ConfigError(f"'{place.name}' {what} pressure", hint="leave them out, or its wear")
-    table = cached_table(bearing, load, speed, ranges.of_table(worn), mesh)
-    return TabledBearing(place, load, speed, worn, table)
+    ranges = ranges if worn else replace(ranges, depth=0.0)
+    return TabledBearing(place, load, speed, worn, cached_table(bearing, load, speed, ranges, mesh))

@@ -1,6 +1,4 @@
-"""A virtual rotor in journal bearings, healthy or worn: white noise in y, then in z, with noise and an
-unbalance line.
-"""
+"""A virtual rotor in journal bearings, healthy or worn, under white noise in y, then in z."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ class JournalNoise(StandardDeviations):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualJournalRig(Settings):
-    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: contents of
-    `rotor`.
-    """
+    """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: that of `rotor`."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
@@ -51,7 +47,9 @@ class VirtualJournalRig(Settings):
     bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
     viscosity_error: float = quantity("true viscosity over the rotor file's, less one", "1", 0.0)
     clearance_error: float = quantity("true clearance over the rotor file's, less one", "1", 0.0)
-    cavitation_pressure: float = quantity("true pressure at which the film tears", "Pa", 0.0)
+    cavitation_pressure: float | None = quantity(
+        "true pressure at which the films tear; default: the rotor file's", "Pa", None
+    )
     states: tuple[tuple[str, Wear], ...] = setting(
         "sections", "states of the worn bearing by name", section=Wear, default=HEALTHY
     )
@@ -67,8 +65,6 @@ class VirtualJournalRig(Settings):
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
-        if self.rig is not None:
-            worn_place(self.rig, self.bearing)
         assert self.mesh
         if not self.states:
             raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
@@ -84,8 +80,17 @@ class VirtualJournalRig(Settings):
         for name in ("viscosity_error", "clearance_error"):
             if not abs(getattr(self, name)) < 0.5:
                 raise ConfigError(f"{name} must lie between -50 % and 50 %")
-        if self.cavitation_pressure > 0:
-            raise ConfigError("cavitation_pressure is above the ambient pressure", hint="give zero or less")
+        if self.rig is not None:
+            worn_place(self.rig, self.bearing)
+            self._check_states()
+
+    def _check_states(self) -> None:
+        for state, wear in self.states:
+            try:
+                true_rig(self, wear.depth, wear.angle)
+            except SettingError as error:
+                field = "states" if error.field == "wear" else error.field
+                raise SettingError(field, f"state '{state}': {error.what}", error.hint) from None
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -113,20 +118,22 @@ def true_rig(virtual: VirtualJournalRig, depth: float, angle: float) -> RotorRig
     """The true rotor, with a wear of *depth* [m] at *angle* [rad]; ConfigError without a rotor."""
     if virtual.rig is None:
         raise ConfigError("no rotor was read for this virtual rig", hint="name it with rotor:")
-    nominal = worn_place(virtual.rig, virtual.bearing)
-    film = nominal.film("wear")
-    rig = virtual.rig.with_bearings(
-        viscosity=film.viscosity * (1 + virtual.viscosity_error),
-        clearance=film.clearance * (1 + virtual.clearance_error),
-        cavitation_pressure=virtual.cavitation_pressure,
-    )
-    return rig.with_bearings([nominal.name], wear_depth=depth, wear_angle=angle)
+    rig = virtual.rig
+    for place in rig.bearings:
+        if place.is_film:
+            film = place.film("wear")
+            pressure = virtual.cavitation_pressure
+            rig = rig.with_bearings(
+                [place.name],
+                viscosity=film.viscosity * (1 + virtual.viscosity_error),
+                clearance=film.clearance * (1 + virtual.clearance_error),
+                cavitation_pressure=film.cavitation_pressure if pressure is None else pressure,
+            )
+    return rig.with_bearings([worn_place(rig, virtual.bearing).name], wear_depth=depth, wear_angle=angle)
 
 
 def receptance(rig: RotorRig, frequency: FloatArray, mesh: FilmMesh) -> ComplexArray:
-    """From forces in y and z to displacements in y and z at the rig's nodes at *frequency* (n,) [Hz], above
-    zero; (n, 2, 2) [m/N].
-    """
+    """H (n, 2, 2) [m/N] in y and z between the rig's nodes at *frequency* (n,) [Hz], above zero."""
     supports = rig.supports(mesh)
     nodes = (*(place.node for place in rig.bearings), rig.force, rig.response)
     parts = [frequency[n : n + LINES_AT_ONCE] for n in range(0, frequency.size, LINES_AT_ONCE)]

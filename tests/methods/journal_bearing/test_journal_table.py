@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.curve import PARAMETERS, JournalTable, TableRange, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
@@ -140,18 +140,3 @@ def test_another_load_moves_along_the_sommerfeld_axis(wide_table: JournalTable) 
 def test_outside_the_table_is_refused(wear_table: JournalTable, bearing: JournalBearing, said: str) -> None:
     with pytest.raises(FitError, match=f"the {said} lies outside"):
         wear_table.coefficients(bearing, SPEED)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"depth": -1e-6}, "largest depth"),
-        ({"angle": 2.0}, "below 90 deg"),
-        ({"viscosity_factor": 0.9}, "factors"),
-        ({"cavitation_pressure": 1.0}, "zero or less"),
-        ({"n_angle": 2}, "at least 3 nodes"),
-    ],
-)
-def test_ranges_that_make_no_table_are_refused(change: dict[str, float], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        TableRange(**change)  # type: ignore[arg-type]

@@ -189,7 +189,7 @@ def test_cobyqa_meets_the_same_amplitudes() -> None:
     fit = fit_amplitudes(
         RIG, [dataclasses.replace(run, **cut)], method="cobyqa", limits=SearchLimits(most_evaluations=300)
     )[0]
-    assert np.all(fit.misfit < 1e-3) and np.isnan(fit.mesh).all()
+    assert np.all(fit.misfit < 1e-3) and np.isnan(fit.history.mesh).all()
 
 
 def test_a_sentence_for_the_report(factors: list[AmplitudeFit]) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
+
 RIG = """name: Run-up rig
 sample_rate: 2 kHz
 channels:
@@ -100,6 +102,11 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "n", "--load", "3 N"), "--load belongs to --save-run-up"),
         (("--tacho", "n", "--unbalance", "x=3 g.mm"), "--unbalance belongs to a table or a judgement"),
         (("--tacho", "n", "--gap", "1 mm", "--limit", "-5 %"), "--gap and --limit must be positive"),
+        (("--tacho", "n", "--limit", "30 %"), "--limit belongs to --gap"),
+        (
+            ("--tacho", "n", "--slow-roll", "1-2 Hz", "--unbalance", "x=3 g.mm", "--unbalance", "y=3 g.mm"),
+            "sensitivity is to one stated unbalance",
+        ),
         (
             ("--tacho", "n", "--save-run-up", "t.csv", "--load", "3 N", "--unbalance", "x=3 g.mm"),
             "--save-run-up: the plane of the responses has no name",
@@ -147,6 +154,30 @@ ACCELERATIONS = (
 )
 
 
+def test_planes_are_files_of_their_own(project: Path, labpipe) -> None:
+    """A plane's name stays within the folder."""
+    given = ("orders", project / "run.csv", "-r", project / "rig.yaml", "--tacho", "n", "-o", project / "out")
+    (project / "rig.yaml").write_text(RIG.replace("dof: ", "dof: a/b."), encoding="utf-8")
+    ended = labpipe(*given)
+    assert ended.code == 0 and "orbits-a-b.svg" in ended.out, ended
+    assert all(path.is_file() for path in (project / "out").iterdir())
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_probe_that_reads_nothing_is_named(project: Path, labpipe) -> None:
+    """Its zeros had the phase of rounding in a table, and a judgement passed it over."""
+    rig, run = project / "rig.yaml", project / "run.csv"
+    rig.write_text(RIG.replace("dof: ", "dof: disc."), encoding="utf-8")
+    numbers = np.loadtxt(run, delimiter=",", skiprows=1) * [1, 0, 1]
+    np.savetxt(run, numbers, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.6g")
+    given = ("orders", run, "-r", rig, "--tacho", "n", "-o", project / "out")
+    table = ("--save-run-up", project / "t.csv", "--load", "3 N", "--unbalance", "disc=5 g.mm")
+    for asked in (table, ("--speed-range", "25-30 Hz")):
+        ended = labpipe(*given, *asked)
+        assert ended.code == 2 and "probe 'y' of " in ended.err and "does not move at " in ended.err, ended
+        assert "RuntimeWarning" not in ended.err and not (project / "t.csv").exists()
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_accelerations_are_no_run_up_and_have_their_own_unit(project: Path, labpipe) -> None:
     """A centreline in the unit of what was measured; no table, which holds displacements."""
@@ -179,8 +210,12 @@ def test_a_baseline_of_the_same_name_leaves_the_run_s_recording(project: Path, l
     short = ("--tacho", "n", "--revolutions", "5")
     given = ("orders", project / "run.csv", "-r", rig, *short, "-o", project / "out")
     change = ("--unbalance", "disc=5 g.mm", "--load", "3 N", "--save-run-up", project / "t.csv")
+    whole = (*given[:-1], project / "whole", *change[:-1], project / "whole.csv")
     ended = labpipe(*given, "--baseline", before, *change)
     assert ended.code == 0 and "speeds, without the uncertainties of x.gain, y.gain" in ended.out, ended
+    # The baseline moves half as much: what was added moves the other half.
+    found = {name: read_run_up_csv(project / name) for name in ("t.csv", "whole.csv") if labpipe(*whole)}
+    np.testing.assert_allclose(2 * found["t.csv"].response, found["whole.csv"].response, rtol=1e-4)
     names = {path.name for path in (project / "out").glob("*.parquet")}
     assert names == {"run.recording.parquet", "run-baseline.recording.parquet"}
     rig.write_text(text.replace("  x:", "  z:").replace("disc.x", "disc.z"), encoding="utf-8")

@@ -105,5 +105,3 @@ def test_a_run_without_a_peak_is_refused() -> None:
     )
     with pytest.raises(DataError, match="no critical speed within its speeds"):
         measured_critical_speed(below)
-    with pytest.raises(DataError, match="no plane 'disk'"):
-        measured_critical_speed(run, "disk")

@@ -77,6 +77,9 @@ def test_the_runs_at_hand_get_the_advice_when_only_the_unbalance_differs() -> No
         ADVICE,
     )
     assert (statement("load-2", "load-2-shaker").rank, statement("load-2", "load-2-shaker").advice) == (8, "")
+    # One force that does not turn moves the journal along one vector as well, but along another.
+    assert statement("load-2-shaker").rank == 4
+    assert statement("load-2-shaker").advice.startswith("a run under an unbalance adds rank")
 
 
 def test_ranks_do_not_need_a_known_unbalance() -> None:

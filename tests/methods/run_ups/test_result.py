@@ -68,9 +68,7 @@ def test_every_speed_of_a_rejected_method_says_so(runs: list[RunUp]) -> None:
         for run in runs
     ]
     entries = tuple(RunSettings(file=f"{run.name}.csv") for run in sharp)
-    settings = RunUpSettings(
-        rotor="falah.yaml", runs=entries, methods=("joint",), metamodels=("physical",), starts=1
-    )
+    settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("joint",), metamodels=("physical",))
     result = run_up_result(
         settings, RIG, [ReadRun(entry, run) for entry, run in zip(entries, sharp, strict=True)]
     )
@@ -111,7 +109,7 @@ def test_a_rotor_file_without_unbalances_takes_those_of_the_run_ups(runs: list[R
     assert excited_as(bare, runs).known_unbalance == pytest.approx(RIG.known_unbalance)
     assert excited_as(RIG, runs) is RIG and excited_as(bare, []) is bare
     entries = tuple(RunSettings(file=f"{run.name}.csv") for run in runs)
-    settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("points",), starts=1)
+    settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("points",))
     read = [ReadRun(entry, run) for entry, run in zip(entries, runs, strict=True)]
     results = [run_up_result(settings, rig, read) for rig in (RIG, bare)]
     first, second = (result.methods[0].predictions[0].critical_speed for result in results)

@@ -97,6 +97,15 @@ def test_a_table_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.unbalance["disc 1"], 5e-5j, atol=1e-18)
 
 
+def test_an_uncertainty_of_the_threshold_in_per_cent(tmp_path: Path) -> None:
+    """As in a pipeline file: 0.5 % of 2772 rpm are 13.86 rpm, and +-: a twelfth of that as k=12."""
+    path = tmp_path / "run.csv"
+    for said, rpm in (("0.5 %", 13.86), ("0.5 % (k=12)", 1.155)):
+        path.write_text(TABLE.replace("6 rpm", said))
+        threshold = read_run_up_csv(path).threshold
+        assert threshold is not None and threshold.std_error * 30 / np.pi == pytest.approx(rpm)
+
+
 def test_other_units_of_the_lab(tmp_path: Path) -> None:
     path = tmp_path / "mils.csv"
     path.write_text(

@@ -393,6 +393,12 @@ def test_a_cascade_raises_every_spectrum_by_its_speed() -> None:
     assert len(spectra) == 3 and "4 um" in figure.caption
     # The largest line stands three steps of speed high: 600 rpm each.
     assert spectra[1].y.max() == pytest.approx(1200 + 1800) and spectra[0].y.max() == pytest.approx(600 + 900)
+    still = cascade_figure(RUNS[0], replace(cascade, amplitude=((0.0,) * 4,) * 3)).graphic
+    assert {float(one.y.max()) for one in still.panels[0].series if one.x.size == 4} == {
+        600.0,
+        1200.0,
+        1800.0,
+    }
 
 
 def test_the_best_method_follows_chi_square() -> None:

@@ -79,6 +79,8 @@ def test_run_leaves_result_and_report_and_is_fresh(labpipe, pipeline: Path, tmp_
         ("run_ups.rotor=none.yaml", 2, "no such file 'none.yaml'"),
         ("run_ups.bound=0 %", 2, "'bound' lies between"),
         ("run_ups.plane=disc 9", 2, "no plane 'disc 9'"),
+        ("run_ups.known=clearance", 2, "known: 'known' is of joint, which is not among the methods"),
+        ("run_ups.search=cobyqa", 2, "search: 'search' is of amplitudes, which is not among the methods"),
     ],
 )
 def test_rules_and_faults(

@@ -67,6 +67,19 @@ def test_the_residual_of_a_recorded_run_has_no_weights(monkeypatch: pytest.Monke
     assert all(np.all(values > 0) for values in (run.amplitude_error, run.phase_error))
 
 
+def test_a_stated_load_is_that_of_the_residual_run_as_well(tmp_path: Path) -> None:
+    """A table of twice the amplitudes less one of once, both under 3 N by themselves."""
+    text = "# load: 3 N\n# unbalance d: {0} g.mm at 0 deg\n# amplitude error: 1 %\n# phase error: 1 deg\n"
+    text += "speed [rpm],d x amplitude [um],d x phase [deg],d y amplitude [um],d y phase [deg]\n"
+    text += "600,{0},0,{0},90\n"
+    for name, size in (("run.csv", 2), ("left.csv", 1)):
+        (tmp_path / name).write_text(text.format(size), encoding="utf-8")
+    files = {"file": "run.csv", "path": tmp_path / "run.csv", "subtract": "left.csv"}
+    settings = RunSettings(**files, subtracted=tmp_path / "left.csv", load=5.0)  # type: ignore[arg-type]
+    run = run_ups_reading.run_as_measured(settings, cast("OutputFolder", None), tmp_path).run
+    assert run.load == 5.0 and np.abs(run.response) == pytest.approx(1e-6)
+
+
 SETTINGS = RunSettings(recording="a.parquet", tacho="tacho", load=8.0, unbalance=(("disc 1", 2e-5 + 0j),))
 
 

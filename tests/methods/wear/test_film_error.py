@@ -21,7 +21,7 @@ from labpipe.methods.wear.search import (
     widen,
     widened_region,
 )
-from labpipe.methods.wear.tables import Ranges, tabulate
+from labpipe.methods.wear.tables import table_range, tabulate
 from tests.methods.wear.worn_cases import (
     COARSE,
     FINE,
@@ -70,7 +70,7 @@ def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Mini
 def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
     """And of the size of the error that a far finer film shows."""
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
-    bearing = tabulate(place, load, RIG.omega, True, Ranges(50e-6, 0.3), FilmMesh(*COARSE))
+    bearing = tabulate(place, load, RIG.omega, True, table_range(50e-6, 0.3), FilmMesh(*COARSE))
     error = bearing.mesh_error(VALUES, FINE)
     worn = replace(place.film("a test"), **VALUES)
     fine, half, finest = (
@@ -87,7 +87,7 @@ def test_the_mesh_error_is_a_third_of_the_change_from_half_the_cells() -> None:
 def test_a_shifted_bearing_has_other_coefficients_and_the_same_slopes() -> None:
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
     change = np.arange(8.0).reshape(2, 2, 2)
-    for worn, ranges in ((True, Ranges(50e-6, 0.3, 1.05, 1.05)), (False, Ranges(50e-6, 0.3))):
+    for worn, ranges in ((True, table_range(50e-6, 0.3, 1.05, 1.05)), (False, table_range(50e-6, 0.3))):
         bearing = tabulate(place, load, RIG.omega, worn, ranges, FilmMesh(24, 4)).refined(
             VALUES if worn else {}, FilmMesh(96, 16), False
         )

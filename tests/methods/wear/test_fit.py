@@ -261,7 +261,14 @@ def test_a_test_at_another_speed_than_its_rotor_is_refused() -> None:
     """The rotor file turns at 50 Hz; films at 40 Hz have other coefficients. Nothing peaks at 1 Hz."""
     response = measured(worn_rig(22.27, 11.0), lines=LINES[:1])
     nowhere = fit_settings(half_power=((1.0, 2.0),))
-    for stated, refused in (("2400 rpm", True), ("40 Hz", True), ("49.8 Hz", False), ("full", False)):
+    speeds = {
+        "2400 rpm": True,
+        "40 Hz +- 1 Hz": True,
+        "251.327412 rad/s": True,
+        "49.8 Hz": False,
+        "full": False,
+    }
+    for stated, refused in speeds.items():
         with pytest.raises(LabpipeError) as caught:
             fitted(nowhere, response.renamed("t", {"speed": stated}))
         assert ("the test ran at 40 Hz" in str(caught.value)) is refused

@@ -50,6 +50,15 @@ def test_the_truth_differs_from_the_rotor_file(virtual: VirtualJournalRig) -> No
     assert [place.bearing.clearance for place in rig.bearings] == pytest.approx([88.2e-6, 88.2e-6])
 
 
+def test_films_keep_what_the_rotor_file_says_of_each(virtual: VirtualJournalRig) -> None:
+    """Other clearances and a cavitation pressure in the rotor file, errors of 3 and -2 % by hand."""
+    assert virtual.rig is not None
+    rig = virtual.rig.with_bearings(cavitation_pressure=-1e4).with_bearings(["bearing 1"], clearance=120e-6)
+    films = [place.bearing for place in true_rig(replace(virtual, rig=rig), 0.0, 0.0).bearings]
+    assert [film.clearance for film in films] == pytest.approx([117.6e-6, 88.2e-6])
+    assert [film.cavitation_pressure for film in films] == [-1e4, -1e4]
+
+
 def test_motion_over_force_is_the_receptance(quiet: VirtualJournalRig) -> None:
     """Without noise and unbalance, the ratio of the whole run's spectra is H at every excited line."""
     (run,) = recordings(quiet, 3, ["wear-3-z"])
@@ -106,7 +115,8 @@ def test_runs_do_not_depend_on_which_others_are_made(virtual: VirtualJournalRig)
         ("bandwidth=200 Hz", "half the sampling rate"),
         ("viscosity_error=80 %", "viscosity_error"),
         ("force=0 N", "force must be positive"),
-        ("cavitation_pressure=1 bar", "above the ambient"),
+        ("cavitation_pressure=1 bar", "cavitation_pressure: "),
+        ("states={deep: {depth: 200 um}}", "states: state 'deep': a wear of 200 um does not fit"),
         ("rotor=none.yaml", "no such file 'none.yaml'"),
         ("bearing=bearing 3", "no bearing 'bearing 3'"),
         ("cells_around=47", "47 x 60 cells"),

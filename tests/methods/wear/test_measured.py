@@ -38,6 +38,12 @@ def test_y_and_z_in_any_order(response: FrequencyResponse) -> None:
     np.testing.assert_allclose(data_of(mixed).measured.matrix, response.matrix)
 
 
+def test_lines_are_those_of_the_fit(response: FrequencyResponse) -> None:
+    """As a mask of the response: f and 2 pi f / (2 pi) differ in the last bit at one line in eight."""
+    assert np.array_equal(np.flatnonzero(data_of(response, lines=(20.5, 34.3)).lines), [21, 49])
+    assert data_of(response).lines.all() and not np.isin(LINES, data_of(response).frequency).all()
+
+
 def test_forward_and_backward_by_hand(response: FrequencyResponse) -> None:
     data = data_of(response, response="dFRF")
     np.testing.assert_allclose(data.measured.matrix, np.linalg.inv(A) @ response.matrix @ A, atol=1e-12)

@@ -17,7 +17,7 @@ from labpipe.methods.rotor.linear_bearing import LINEAR, LinearBearingSettings
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.wear.model import WornModel, worn_model
 from labpipe.methods.wear.settings import ANGLE, DEPTH
-from labpipe.methods.wear.tables import Ranges, film_slopes, tabulate
+from labpipe.methods.wear.tables import film_slopes, table_range, tabulate
 from labpipe.methods.wear.virtual_rig import receptance
 from labpipe.records.uncertain import Uncertain
 from tests.methods.wear.worn_cases import COARSE, FINE, LINES, NUISANCES, RIG, wear_settings, worn_rig
@@ -171,7 +171,7 @@ def test_slopes_stand_under_their_names() -> None:
     A parameter it has not has slope zero.
     """
     place = RIG.bearings[0]
-    ranges = Ranges(50e-6, 0.3, 1.05, 1.05)
+    ranges = table_range(50e-6, 0.3, 1.05, 1.05)
     bearing = tabulate(place, (0.0, -35.4), RIG.omega, False, ranges, FilmMesh(*COARSE))
     values = {"wear_depth": 2e-5, "wear_angle": 0.1, "viscosity": 0.1, "clearance": 9e-5}
     found = bearing.support(values, (*PARAMETERS[:4], "beta"))

@@ -26,10 +26,13 @@ from tests.methods.wear.worn_cases import NUISANCES, wear_settings
         ({"start_angles": (0.5,)}, "leave the range of angles"),
         ({"prior": "tuning", **NUISANCES}, "already covers viscosity, clearance"),
         ({"healthy": True}, "nothing to tune"),
+        ({"healthy": True, "bearing": "bearing 2", **NUISANCES}, "tuned in all of them"),
         ({"same_wear": True}, "goes with the 'prior'"),
         ({"cavitation_pressure": Uncertain(1e4, 1e3)}, "above the ambient"),
         ({"viscosity": Uncertain(0.0, 0.1)}, "'viscosity' must be positive"),
-        ({"clearance": Uncertain(90e-6, 40e-6)}, "above 25 %"),
+        ({"clearance": Uncertain(90e-6, 40e-6)}, "'clearance' not below 25 %"),
+        ({"viscosity": Uncertain(0.1, 0.025)}, "'viscosity' not below 25 %"),
+        ({"prior": "t", "posterior": Gaussian(("viscosity",), (0.1,), ((9e-4,),))}, "'viscosity' not below"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes: dict, message: str) -> None:
