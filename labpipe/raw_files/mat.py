@@ -281,14 +281,14 @@ def mat_table(path: Path) -> ArraysTable:
     units |= {named.get(key, key): unit for key, unit in stated.items()}
     numeric = {named.get(name, name): value for name, value in arrays.items() if is_numeric(value)}
     parts = {key: columns_of(key, value) for key, value in numeric.items()}
-    scalars = {name: value.item() for name, value in numeric.items() if value.size == 1}
+    scalars = {name: float(value.item()) for name, value in numeric.items() if value.size == 1}
     signals = [part for part in signals_of(arrays) if part.axis == "s" and part.values in parts]
     labels, of_signals = labels_and_units(signals, parts)
     columns = distinct(
         ((labels.get(name, name), column) for part in parts.values() for name, column in part.items()), path
     )
     units |= {labels.get(name, name): unit for name, unit in of_signals.items()}
-    rate = rate_of(scalars | {f"{part.place}.dt": part.step for part in signals}, path)
+    rate = rate_of(scalars | {f"{part.place}.dt": part.step for part in signals}, path, units)
     texts = {name: lines for name, value in arrays.items() if (lines := lines_of(value))}
     return ArraysTable(path, columns, units, rate, texts)
 
@@ -333,7 +333,8 @@ def hdf5_table(path: Path) -> ArraysTable:
         (pair for key, item in vectors.items() for pair in columns_of(key, item).items()), path
     )
     units = {name: unit for name in columns if (unit := _attribute(sets, name, _UNITS))}
-    table = ArraysTable(path, columns, units, rate_of(scalars, path), _hdf5_texts(file))
+    rate = rate_of(scalars, path, {name: _attribute(sets, name, _UNITS) for name in scalars})
+    table = ArraysTable(path, columns, units, rate, _hdf5_texts(file))
     for name in table.columns:
         if text := _attribute(sets, name, _SENSITIVITIES):
             table.sensitivities[name] = text
@@ -345,13 +346,17 @@ def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
 
     def add(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype) and item.size < MOST_TEXTS:
-            texts[name] = [
-                part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
-                for part in np.atleast_1d(item[()]).ravel()
-            ]
+            texts[name] = _decoded(item[()])
 
     file.visititems(add)
     return texts
+
+
+def _decoded(values: Any) -> list[str]:
+    return [
+        part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
+        for part in np.atleast_1d(values).ravel()
+    ]
 
 
 def _numeric_sets(file: h5py.File) -> dict[str, Any]:
@@ -383,17 +388,13 @@ def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
 
 
 def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
-    item: Any = sets.get(name)
-    if item is None:
-        item = sets.get(name.rpartition("_")[0])
-    if item is None:
-        return ""
-    attributes = {key.lower(): key for key in item.attrs}
-    for key in keys:
-        if key in attributes:
-            value = item.attrs[attributes[key]]
-            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return ""
+    """What an attribute of a column's data set says; of several texts that of the column in its matrix."""
+    base, _, number = name.rpartition("_")
+    item = sets.get(name, sets.get(base))
+    attributes = {} if item is None else {key.lower(): value for key, value in item.attrs.items()}
+    texts = next((_decoded(attributes[key]) for key in keys if key in attributes), [])
+    place = int(number) - 1 if len(texts) > 1 and name not in sets else 0
+    return texts[place] if len(texts) == 1 or (name not in sets and place < len(texts)) else ""
 
 
 def write_frf_mat(path: Path, response: FrequencyResponse) -> None:

@@ -51,7 +51,7 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
         with np.errstate(over="ignore", invalid="ignore"):
             total = block.sum()
         if not np.isfinite(total):
-            _refuse_missing(source, block, start)
+            refuse_missing(source, block, range(block.shape[1]), start)
         if start == 0:
             silent = {column: block[0, column] for column in columns_of(source.channels, "input")}
         silent = {column: level for column, level in silent.items() if np.all(block[:, column] == level)}
@@ -62,7 +62,10 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
         raise DataError(what, hint="is the sensor connected?")
 
 
-def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None:
+def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[int], start: int = 0) -> None:
+    """DataError at the first sample that is no number of a *block* (n, n_column) [unit of the channel] from
+    sample *start* on.
+    """
     missing = np.argwhere(~np.isfinite(block))
     if not missing.size:
         return
@@ -70,7 +73,8 @@ def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
     hint = "labpipe does not fill gaps; cut the recording there or record it again"
     raise DataError(
-        f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint
+        f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}",
+        hint=hint,
     )
 
 

@@ -16,6 +16,7 @@ from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import FreeDecay, FreeDecays
+from labpipe.spectra.channels import refuse_missing
 from labpipe.spectra.ports import left_out, response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 
@@ -69,6 +70,7 @@ def free_decays(
     without: list[DataError] = []
     for source, chosen in zip(sources, columns, strict=True):
         samples = np.concatenate([block[:, list(chosen)] for block in source.blocks(BLOCK)])
+        refuse_missing(source, samples, chosen)
         try:
             spans = _spans(samples, rate, settings, source.name)
         except DataError as error:

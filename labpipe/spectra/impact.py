@@ -166,10 +166,14 @@ def judged_hit(
     """
     samples = raw - (np.median(raw[:trigger], axis=0) if trigger >= LEAST_BEFORE else rest)
     force = columns_of(channels, "input")[0]
+    members = {term.channel for channel in channels if channel.role != "reference" for term in channel.terms}
+    # A tacho stands at both ends of its range, and no FRF is made of it.
+    measured = [channel.role != "reference" or channel.name in members for channel in channels]
+    clipped = np.flatnonzero(overloaded(samples) & measured)
     if number in settings.reject:
         fault = "left out by hand"
-    elif overloaded(samples).any():
-        fault = f"overload of channel '{channels[int(np.argmax(overloaded(samples)))].name}'"
+    elif clipped.size:
+        fault = f"overload of channel '{channels[clipped[0]].name}'"
     elif is_double(samples[:, force], settings.double_hit):
         fault = "double hit"
     else:
