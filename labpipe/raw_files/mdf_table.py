@@ -28,8 +28,8 @@ MOST_SQUEEZED = 1 << 16
 
 
 def mdf_table(path: Path) -> MdfTable:
-    """The table of a file that a child process has looked at: places beyond a sample make the library
-    crash.
+    """The table of a file that a child process has looked at: places beyond a sample make the
+    library crash.
     """
     check_filled(path)
     load_extra("asammdf", "mdf", path)

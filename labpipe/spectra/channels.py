@@ -40,9 +40,8 @@ def columns_of(channels: Sequence[Channel], role: str) -> list[int]:
 
 
 def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
-    """The recording's blocks (n, n_channel) [unit of the channel].
-
-    DataError at the first sample that is no number, and at the end for a force that does not vary.
+    """The recording's blocks (n, n_channel) [unit of the channel]. DataError at the first sample that is no
+    number, and at the end for a force that does not vary.
     """
     start = 0
     silent: dict[int, float] = {}
@@ -86,10 +85,8 @@ FORCE = "force"
 
 def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> tuple[UncertainFactor, ...]:
     """One factor for each uncertainty of a recorded channel; numbers of one source have one name, and so one
-    error.
-
-    channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums
-    from recorded channels.
+    error. channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI
+    units]: sums from recorded channels.
     """
     factors = []
     for number, channel in enumerate(channels[: combined.shape[1]]):
@@ -118,11 +115,9 @@ def _derivative(
 
 def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     """Change (n, n) [1/rad] of all recorded *channels* by all of them, where the angle of one is written too
-    large; zero where not known.
-
-    Needed is the one other channel of its quantity in a known direction. A sensor at theta + d reads X(theta)
-    + d X(theta + 90 deg). Forces f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j
-    d more, in components along all n.
+    large; zero where not known. Needed is the one other channel of its quantity in a known direction. A
+    sensor at theta + d reads X(theta) + d X(theta + 90 deg). Forces f_j along n_j add up: f_j along n_j + d
+    m_j, m_j at right angles, is f_j m_j d more, in components along all n.
     """
     change = np.zeros((len(channels), len(channels)))
     angles_of = [AXIS_ANGLES.get(c.dof) if c.angle is None else c.angle for c in channels]
@@ -151,9 +146,8 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
 
 class InTime(DerivedRecording):
     """A recording with its channels moved forward by the whole samples of their delays; satisfies
-    SampleSource.
-
-    A block then holds a response together with its force. What is left of a delay stays that of the channel.
+    SampleSource. A block then holds a response together with its force. What is left of a delay stays that of
+    the channel.
     """
 
     def __init__(self, source: SampleSource) -> None:

@@ -46,11 +46,9 @@ def covariance_by_neighbours(
     gap: int = 0,
 ) -> ComplexArray:
     """cov vec G (n_line, n, n) [unit^2 of H] of G = *matrix* (n_line, n_output, n_input) at *frequency*
-    (n_line,) [Hz].
-
-    *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U); *noise*: their
-    covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the line that
-    share its noise, which are left out. Equation (frf-neighbours).
+    (n_line,) [Hz]. *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U);
+    *noise*: their covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the
+    line that share its noise, which are left out. Equation (frf-neighbours).
     """
     there = _from_neighbours(frequency, matrix, gap)
     n_output, n_input = matrix.shape[1:]
@@ -108,11 +106,10 @@ def is_joint(blocks: Blocks) -> bool:
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """G (n_line, n_output, n_input) [output unit / N], and what it is made of.
-
-    columns (n_line, n_input + n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces
-    first; noise (n_line, n, n) [unit^2/Hz]: of the part due to one reference, forces first; strength
-    (n_line,) [1]: of the force that they move least, over its standard deviation.
+    """G (n_line, n_output, n_input) [output unit / N], and what it is made of. columns (n_line, n_input +
+    n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces first; noise (n_line, n, n)
+    [unit^2/Hz]: of the part due to one reference, forces first; strength (n_line,) [1]: of the force that
+    they move least, over its standard deviation.
     """
 
     matrix: ComplexArray
@@ -125,10 +122,8 @@ def joint_estimate(
     spectra: ComplexArray, references: Sequence[str], n_input: int, averages: float
 ) -> JointEstimate:
     """G of averaged *spectra* (n_line, n, n) [unit^2/Hz], *references* first, then *n_input* forces, then
-    responses.
-
-    With more references than forces, least squares over them. DataError for references that are silent or
-    follow from each other. Equation (frf-joint).
+    responses. With more references than forces, least squares over them. DataError for references that are
+    silent or follow from each other. Equation (frf-joint).
     """
     n = len(references)
     lower = lower_of_drives(spectra[:, :n, :n], references, "reference")
@@ -149,10 +144,8 @@ def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
 
 
 def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF of random data under the references of the settings, with H1 beside it.
-
-    ConfigError for references that are none, DataError for too few of them, and for such as do not move the
-    forces.
+    """The FRF of random data under the references of the settings, with H1 beside it. ConfigError for
+    references that are none, DataError for too few of them, and for such as do not move the forces.
     """
     references, n_input = settings.reference, len(layout.inputs)
     whole = _with_references(sources, settings, layout)
@@ -250,9 +243,7 @@ def open_loop_note(
     frequency: FloatArray, matrix: ComplexArray, covariance: ComplexArray, open_loop: ComplexArray
 ) -> Finding:
     """How far H1, *open_loop*, is from the FRF *matrix* (n_line, n_output, n_input) [unit of H] at
-    *frequency* (n_line,) [Hz], in words.
-
-    *covariance* (n_line, n, n) [unit^2 of H] of the FRF.
+    *frequency* (n_line,) [Hz], in words. *covariance* (n_line, n, n) [unit^2 of H] of the FRF.
     """
     size = np.linalg.norm(matrix, axis=(1, 2))
     apart = np.linalg.norm(open_loop - matrix, axis=(1, 2)) / size

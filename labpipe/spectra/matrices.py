@@ -24,9 +24,7 @@ def lines_last(n_line: int, n_row: int, n_column: int) -> ComplexArray:
 
 def product(left: ComplexArray, right: ComplexArray) -> ComplexArray:
     """left right of matrices (n_line, n, m) and (n_line, m, k) [any unit], (n_line, n, k); lines are last in
-    memory.
-
-    For small matrices whose lines are last in memory too many times faster than ``@``.
+    memory. For small matrices whose lines are last in memory too many times faster than ``@``.
     """
     result = lines_last(left.shape[0], left.shape[1], right.shape[2])
     np.einsum("fij,fjk->fik", left, right, out=result)
@@ -34,9 +32,8 @@ def product(left: ComplexArray, right: ComplexArray) -> ComplexArray:
 
 
 def at_lines(matrix: ComplexArray, chosen: BoolArray) -> ComplexArray:
-    """The *chosen* lines (n_line,) of matrices (n_line, n, m) [any unit].
-
-    Lines stay last in memory where they are, all are no copy.
+    """The *chosen* lines (n_line,) of matrices (n_line, n, m) [any unit]. Lines stay last in memory where
+    they are, all are no copy.
     """
     if np.all(chosen):
         return matrix
@@ -44,9 +41,8 @@ def at_lines(matrix: ComplexArray, chosen: BoolArray) -> ComplexArray:
 
 
 def inverse(matrix: ComplexArray) -> ComplexArray:
-    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular.
-
-    Closed form for n = 1, 2.
+    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular. Closed
+    form for n = 1, 2.
     """
     n = matrix.shape[-1]
     if n > 2:
@@ -69,9 +65,8 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
 
 def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """The inverses of Hermitian positive definite matrices (n_line, n, n) [any unit], and their pivots
-    (n_line, n) [any unit].
-
-    The determinant is the product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
+    (n_line, n) [any unit]. The determinant is the product of the pivots. numpy.linalg.LinAlgError when a
+    pivot is not positive.
     """
     n_line, n = matrix.shape[:2]
     work = lines_last(n_line, n, n)
@@ -93,10 +88,9 @@ def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
 
 def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A
-    (n_line, n_first, n_first).
-
-    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal: the condition of
-    A does not enter; exactly Hermitian, and a diagonal that rounding makes negative is 0.
+    (n_line, n_first, n_first). (n_line, n - n_first, n - n_first), lines last in memory. Elimination below
+    the diagonal: the condition of A does not enter; exactly Hermitian, and a diagonal that rounding makes
+    negative is 0.
     """
     n_line, n = matrix.shape[:2]
     rest = lines_last(n_line, n - n_first, n - n_first)

@@ -59,11 +59,10 @@ def measure(
     name: str = "",
     conditions: dict[str, Any] | None = None,
 ) -> FrequencyResponse:
-    """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
-
-    A force that a recording lacks is zero in it. Memory use does not depend on the recordings' length.
-    DataError for recordings that do not fit together, are too short, hold NaN, or whose forces are not
-    independent; one too short for an average is left out by name beside longer ones of its channels.
+    """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input. A force
+    that a recording lacks is zero in it. Memory use does not depend on the recordings' length. DataError for
+    recordings that do not fit together, are too short, hold NaN, or whose forces are not independent; one too
+    short for an average is left out by name beside longer ones of its channels.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
@@ -92,7 +91,6 @@ def _with_repeats(
     response: FrequencyResponse, sources: Sequence[SampleSource], settings: FrfSettings, counts: Sequence[int]
 ) -> FrequencyResponse:
     """The response with that of every recording alone, where each has all of it; *counts*: of their hits.
-
     Recordings that alone give no response, or other lines, are no repeats, but for one whose hits are all
     left out beside others; of a single recording its hits are.
     """

@@ -32,9 +32,8 @@ from labpipe.spectra.windows import hann
 
 
 class WithoutSynchronous(DerivedRecording):
-    """A recording minus its synchronous part; satisfies SampleSource.
-
-    amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI].
+    """A recording minus its synchronous part; satisfies SampleSource. amplitude (n_harmonic, n_channel)
+    complex, 0-to-peak [SI].
     """
 
     def __init__(self, source: SampleSource, motion: ShaftMotion, amplitude: ComplexArray) -> None:
@@ -74,11 +73,9 @@ class WithoutSynchronous(DerivedRecording):
 
 def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
     """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
-    recording.
-
-    The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous averaging
-    (McFadden 1987). A given speed is refined first. DataError for fewer than two revolutions. Equation
-    (spec-synchronous).
+    recording. The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous
+    averaging (McFadden 1987). A given speed is refined first. DataError for fewer than two revolutions.
+    Equation (spec-synchronous).
     """
     motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
@@ -124,9 +121,8 @@ def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
 def shaft_turns(
     motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int
 ) -> ComplexArray:
-    """exp(j h theta) of h = 1 ...
-
-    n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at *sample_rate* [Hz].
+    """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at
+    *sample_rate* [Hz].
     """
     angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
@@ -207,9 +203,7 @@ class Cleaned:
 
 def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
     """The recording without the harmonics of `remove`; ConfigError and DataError as for the period, the
-    tacho, and a single period.
-
-    Equation (spec-runout).
+    tacho, and a single period. Equation (spec-runout).
     """
     lines = settings.remove
     assert lines is not None and settings.period is not None
@@ -328,9 +322,8 @@ def _refined_between(
     source: SampleSource, motion: ShaftMotion, lines: ShaftLines, settings: FrfSettings, n_sample: int
 ) -> ShaftMotion:
     """A given speed made exact: 1x of the outputs keeps its phase from the first half of the periods to the
-    second.
-
-    With fewer than four periods, and where another speed is not clearly more likely, the given one is kept.
+    second. With fewer than four periods, and where another speed is not clearly more likely, the given one is
+    kept.
     """
     n_period = source.n_sample // n_sample - settings.skip
     half = n_period // 2
@@ -400,10 +393,7 @@ def lines_of_shaft(
     sources: Sequence[SampleSource], settings: FrfSettings, excited: Sequence[FloatArray]
 ) -> tuple[Finding, ...]:
     """Warnings for lines on which a force acts in a recording, *excited* (n_line,) [Hz] of each, that lie on
-    1x or 2x of the shaft by a tacho that no setting names.
-
-    The tacho is taken to give a pulse per
-    revolution.
+    1x or 2x of the shaft by a tacho that no setting names. The tacho is taken to give a pulse per revolution.
     """
     if settings.excitation != "periodic" or settings.mask is not None or settings.remove is not None:
         return ()

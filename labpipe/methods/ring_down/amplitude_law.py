@@ -28,9 +28,8 @@ STEP = 1e-5
 @dataclass(frozen=True)
 class FittedLaw:
     """The law with the covariance (4, 4) of zeta_rest [1], zeta_slope [1/unit], frequency_slope [rad/s/unit],
-    omega [rad/s]; converged.
-
-    squares: sum of the squares of what it leaves [1], over the variances that the exponential fit leaves.
+    omega [rad/s]; converged. squares: sum of the squares of what it leaves [1], over the variances that the
+    exponential fit leaves.
     """
 
     law: AmplitudeLaw
@@ -41,9 +40,7 @@ class FittedLaw:
 
 def amplitude(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
     """A(t) (n_sample,) [unit of *first*] of A' = -w (z0 + z1 A) A from A(0) = *first* at *time* (n_sample,)
-    [s].
-
-    A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation
+    [s]. A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation
     (decay-law).
     """
     decay = np.exp(-rest * omega * time)
@@ -147,9 +144,8 @@ class _Problem:
 def fitted_law(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> FittedLaw:
-    """The law of a mode from all pieces of one output, from the exponential fit on.
-
-    Standard errors from the residual it leaves.
+    """The law of a mode from all pieces of one output, from the exponential fit on. Standard errors from the
+    residual it leaves.
     """
     problem = _Problem(pieces, fitted, mode, output)
     minimum = minimise(problem, problem.start, near=1e-4)
@@ -226,7 +222,6 @@ def over_amplitude(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
-
     ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation
     (decay-stretches).
     """
@@ -256,7 +251,6 @@ FEWEST_STRETCHES, LEAST_DOF = 1, 2
 def course_spread(curve: OverAmplitude, pole: complex) -> tuple[float, float, int] | None:
     """By how much ln f and ln zeta of the stretches of a decay scatter about the fit's *pole* [rad/s] beyond
     their noise, standard deviations [1], and their degrees of freedom; None of fewer than FEWEST_STRETCHES.
-
     tau^2 = max(sum w ((x_j - x)^2 - u_j^2) / sum w, 0), w = 1 / (u_j^2 + median u^2). Equation
     (decay-course).
     """
@@ -289,10 +283,8 @@ LEFT = 0.5
 @dataclass(frozen=True)
 class MissingMode:
     """The fit with a mode more: *frequencies* [Hz] that take the place of *mode*, by how much its criterion
-    is *better* [1].
-
-    white: whether it leaves white noise; otherwise neither it nor the law explains the decay, and a law of
-    another form may be as good.
+    is *better* [1]. white: whether it leaves white noise; otherwise neither it nor the law explains the
+    decay, and a law of another form may be as good.
     """
 
     mode: int
@@ -311,13 +303,10 @@ def missing_mode(
     white: bool,
 ) -> MissingMode | None:
     """What *richer*, with a mode more than *fitted*, explains better than the *laws* by their mode; None
-    where it does not. *outputs* (n_mode,) in which each mode is strongest.
-
-    *white*: whether it leaves white noise; otherwise it must leave less than the share LEFT of what the law
-    leaves.
-
-    N ln(S) + p ln(N) of both, S the squares left in the output in which the mode is strongest: a law has two
-    parameters more than an exponential, a mode two more and two in every piece. Equation (decay-missing).
+    where it does not. *outputs* (n_mode,) in which each mode is strongest. *white*: whether it leaves white
+    noise; otherwise it must leave less than the share LEFT of what the law leaves. N ln(S) + p ln(N) of both,
+    S the squares left in the output in which the mode is strongest: a law has two parameters more than an
+    exponential, a mode two more and two in every piece. Equation (decay-missing).
     """
     if not richer.converged or np.any(richer.poles.real >= 0):
         return None
@@ -354,8 +343,8 @@ class Jump:
 def jump_of(
     decays: FreeDecays, columns: Sequence[int], fitted: likelihood.Decayed, band: tuple[float, float] | None
 ) -> Jump | None:
-    """The jump with which nothing but noise is left of a decay; None where there is none, or several
-    decays.
+    """The jump with which nothing but noise is left of a decay; None where there is none, or
+    several decays.
     """
     if len(decays.decays) != 1:
         return None
@@ -452,9 +441,7 @@ def decay_findings(
     missing: MissingMode | None,
 ) -> tuple[Finding, ...]:
     """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes*
-    by mode), other residuals.
-
-    *missing*: the mode that explains the residual better than a law.
+    by mode), other residuals. *missing*: the mode that explains the residual better than a law.
     """
     warnings = []
     if not fitted.converged:

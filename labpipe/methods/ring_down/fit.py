@@ -74,9 +74,7 @@ DOWN_TO = 0.1
 
 def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float | None:
     """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less
-    than three peaks.
-
-    rate, frequency [Hz]. Equation (decay-peaks).
+    than three peaks. rate, frequency [Hz]. Equation (decay-peaks).
     """
     period = rate / frequency
     count = int(samples.size / period)
@@ -95,7 +93,6 @@ MOST_STRETCHES = 700
 
 def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
     """Time (n,) [s] and series (n,) [any unit] as the least and largest value of MOST_STRETCHES stretches.
-
     Short ones whole.
     """
     if time.size <= 2 * MOST_STRETCHES:
@@ -112,10 +109,8 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
 
 def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Parameter, ...]:
     """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m
-    w_n^2 and c = 2 zeta w_n m.
-
-    w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda / Im lambda; standard errors
-    of first order. Equation (decay-values).
+    w_n^2 and c = 2 zeta w_n m. w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda
+    / Im lambda; standard errors of first order. Equation (decay-values).
     """
     parameters: list[Parameter] = []
     for mode, pole in enumerate(fitted.poles):
@@ -200,9 +195,8 @@ def decay_sources(
     parameters: Sequence[Parameter], settings: FitSettings, ports: Mapping[int, Port]
 ) -> list[Source]:
     """The sources that change *parameters* of decays; *ports*: the sensor that the amplitude of every mode,
-    from 0, was read by.
-
-    An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large.
+    from 0, was read by. An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1
+    - d) times as large.
     """
     sources: dict[str, Source] = {}
     for mode, port in ports.items():
@@ -266,10 +260,8 @@ class _Fitted:
 
 
 def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
-    """The modes of all decays of a test together as one Fit.
-
-    ConfigError where settings and decays do not fit together, FitError where no decay stands out or it is too
-    short.
+    """The modes of all decays of a test together as one Fit. ConfigError where settings and decays do not fit
+    together, FitError where no decay stands out or it is too short.
     """
     decay_settings: DecaySettings = settings.model_settings
     columns = chosen_ports(decays.outputs, settings.output, "response")
@@ -335,9 +327,8 @@ def _check(settings: FitSettings, each: bool) -> None:
 
 
 def _check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
-    """FitError for few degrees of freedom, and for a mode that noise explains.
-
-    A free damping finds more than the largest line, as if there were MORE_LINES times as many.
+    """FitError for few degrees of freedom, and for a mode that noise explains. A free damping finds more than
+    the largest line, as if there were MORE_LINES times as many.
     """
     if fitted.dof < FEW_DOF:
         hint = "a longer decay, fewer `modes`, or a wider `band`"
