@@ -16,9 +16,6 @@ from labpipe.errors import DataError
 from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.text_table import check_filled, reading
 
-# Named arrays of one file as a table: the longest vectors of equal length are the channels, a scalar such
-# as fs or dt their rate.
-
 CHUNK_ROWS = 1 << 17
 RATES = (
     "fs", "f_s", "fsamp", "rate", "samplerate", "sample_rate", "sampling_rate", "samplingrate",

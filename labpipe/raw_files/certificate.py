@@ -234,7 +234,6 @@ def _serials(items: ET.Element) -> Iterator[str]:
 
 
 def _quantities(results: ET.Element) -> Iterator[CertifiedQuantity]:
-    """The quantities of all results, each list of quantities as a table; not those inside as metadata."""
     table = 0
     for result in results.iterfind(f"{DCC}measurementResult/{DCC}results/{DCC}result"):
         pending = [_only(result, "data")]

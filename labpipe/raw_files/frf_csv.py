@@ -70,7 +70,6 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
 
 
 def _check_units(table: CsvTable, form: str) -> None:
-    """DataError for a column that is not in Hz, or not in the SI unit of the *form*, by its row of units."""
     for name, stated in table.units.items():
         column = _COLUMN.match(name)
         of_element = FORMS[form] if column and column["part"] in ("re", "im") and form != "other" else stated

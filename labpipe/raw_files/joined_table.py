@@ -210,7 +210,6 @@ class ResampledTable:
 
 
 def _time_of(table: Table) -> str:
-    """The time column of a table without a rate: its first, '' where the table states the rate."""
     return "" if table.sample_rate is not None else table.columns[0]
 
 

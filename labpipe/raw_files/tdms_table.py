@@ -119,7 +119,6 @@ def growing_rows(
     except DataError:
         raise
     except Exception:
-        # Between two writes.
         return np.empty((0, len(columns))), None
 
 

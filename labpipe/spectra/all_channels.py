@@ -36,7 +36,6 @@ from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
 # Degrees of freedom below which the loss of efficiency exceeds a tenth.
 ENOUGH_DOF = 13.0
-# Degrees of freedom beyond which more of them would gain less than a twentieth.
 PLENTY_DOF = 60.0
 
 
@@ -101,7 +100,6 @@ def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
 
 def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
     """The spectra with noise averaged over runs that share it and over lines, as many as are needed."""
-    # The noise of one period.
     single = [s.noise * s.n_period for s in spectra if s.noise is not None]
     dofs = [spectrum.dof for spectrum in spectra]
     if len(spectra) > 1 and shared_noise(single, dofs):

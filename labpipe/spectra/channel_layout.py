@@ -139,7 +139,6 @@ def _member_rows(
     n_line: int,
     estimate: Estimate,
 ) -> dict[str, ComplexArray]:
-    """Response (n_line, n_input) [SI] of every member; of a force to itself 1."""
     names = [sensor.name for sensor in layout.input_sensors]
     unit = np.eye(len(names), dtype=np.complex128)
     rows = {

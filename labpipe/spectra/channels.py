@@ -77,9 +77,6 @@ def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[in
     )
 
 
-# What the uncertainties of channels' calibrations do to the vector of all channels: errors of gain, delay,
-# phase and direction.
-
 FORCE = "force"
 
 
@@ -102,7 +99,6 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 def _derivative(
     channels: Sequence[Channel], combined: ComplexArray, number: int, uncertainty: ChannelUncertainty
 ) -> tuple[ComplexArray, int]:
-    """The change of the vector per unit of the error, and the power of w that goes with it."""
     n_channel, n_recorded = combined.shape
     if uncertainty.effect == "direction":
         change = np.zeros((n_recorded, n_channel), np.complex128)
@@ -141,13 +137,9 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     return change
 
 
-# Channels that are late, and sums of channels: where a sum in time holds, and its uncertain numbers.
-
-
 class InTime(DerivedRecording):
     """A recording with its channels moved forward by the whole samples of their delays; satisfies
-    SampleSource. A block then holds a response together with its force. What is left of a delay stays that of
-    the channel.
+    SampleSource. What is left of a delay stays that of the channel.
     """
 
     def __init__(self, source: SampleSource) -> None:

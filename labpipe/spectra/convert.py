@@ -15,7 +15,6 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.matrices import hermitian, without_rounding
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
-# Motion over motion of a base.
 TRANSMISSIBILITY = "transmissibility"
 
 
@@ -55,9 +54,8 @@ class FormView:
 
 def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
     """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n time derivatives between the two forms.
-    Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance,
-    mobility and accelerance, DataError for a line at 0 Hz that would have to be integrated. Equation
-    (frf-form).
+    Raises ConfigError for a form other than receptance, mobility and accelerance, DataError for a line at 0
+    Hz that would have to be integrated. Equation (frf-form).
     """
     order = DERIVATIVES.get(form, 0) - DERIVATIVES.get(response.form, 0)
     for name in (form, response.form):
@@ -121,8 +119,6 @@ def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | 
     return without_rounding(turn @ covariance @ hermitian(turn))
 
 
-# Forward and backward: the directional frequency response (dFRF) of a rotor measured in two directions.
-
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
 FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
 FORWARD_BACKWARD = ("f", "b")
@@ -135,8 +131,8 @@ SMALLEST_ANGLE = 1e-3
 def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance
     (Mendes et al.). Rows and columns are labelled f and b. Outputs and forces may point in any two known
-    directions each. An isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. DataError
-    unless there are two outputs and two forces in known, different directions. Equation (frf-directional).
+    directions each. Coherence and distortion are dropped. DataError unless there are two outputs and two
+    forces in known, different directions. Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
@@ -179,8 +175,7 @@ def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
 def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the
     response]. Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis
-    of Rotors, 1993). A line at 0 Hz appears twice, as -0 and 0. DataError for a response that is not
-    directional. Equation (frf-two-sided).
+    of Rotors, 1993). DataError for a response that is not directional. Equation (frf-two-sided).
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))
     if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):

@@ -31,7 +31,6 @@ SIGNIFICANT = 3.0
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
-# Numbers of matrices that are made together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
 
 
@@ -87,7 +86,7 @@ def covariance_of_h1(
 
 def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
     """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as
-    in covariance_of_random. A few lines at a time, which stay in the cache.
+    in covariance_of_random.
     """
     n_line, n_output, n_input = response.shape
     residual = lines_last(n_line, n_output, n_output)
@@ -101,7 +100,6 @@ def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexA
 
 
 def _join(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
-    """residual[o, p] spread[o, i, p, j] as Hermitian matrices over o i and p j."""
     n_frequency, n_output = residual.shape[:2]
     n = n_output * spread.shape[2]
     covariance = lines_last(n_frequency, n, n)

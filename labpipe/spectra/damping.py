@@ -12,9 +12,7 @@ from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import without_rounding
 
-# Half width of the local rational fit [lines].
 HALF_WIDTH = 4
-# Elements of a matrix that are corrected together.
 ELEMENTS = 16
 # Relative differences of the spacing of lines, which files print with six digits.
 EVEN = 1e-2
@@ -64,7 +62,6 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
 def _evaluate(
     flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n)."""
     size = np.max(np.abs(flat), axis=0)
     neighbours = flat[lines] / np.where(size > 0, size, 1.0)
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))

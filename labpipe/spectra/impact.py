@@ -29,7 +29,6 @@ from labpipe.spectra.windows import exponential_correlation
 CLIPPED_RUN = 3
 # Share of the double-hit level below which the contact has ended.
 ENDED = 0.5
-# Samples before a hit that tell the offset of its block.
 LEAST_BEFORE = 4
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1
@@ -99,10 +98,10 @@ def find_hits(
     source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1
 ) -> Iterator[Hit]:
     """The hits of a recording in order of time, accepted or rejected; *force* is the hammer's column,
-    *n_sample* the block length. A hit begins where |force| exceeds the trigger, a share of the largest force
-    in the recording, both relative to the zero level (the median of the first block); its block begins
-    earlier by the pretrigger, or where the recording begins if it holds one block only, as an analyser stores
-    it. The recording is read twice. DataError for a sample that is no number or a force that does not vary.
+    *n_sample* the block length. A hit begins where |force| exceeds the trigger, a share of the largest
+    force in the recording, both relative to the zero level (the median of the first block); its block
+    begins earlier by the pretrigger, or where the recording begins if it holds one block only, as an
+    analyser stores it. DataError for a sample that is no number or a force that does not vary.
     """
     rest = np.median(next(iter(source.blocks(READ_SAMPLES))), axis=0)
     level = settings.trigger * max(

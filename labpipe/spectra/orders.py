@@ -191,7 +191,6 @@ def _fit(
     orders: FloatArray,
     order: float,
 ) -> tuple[float, float, ComplexArray, FloatArray, FloatArray]:
-    """Mean time [s], speed [Hz], amplitude, its variance and mean (n_output,) of one segment."""
     # Beyond half the sampling rate a harmonic is a lower order: both would share its amplitude.
     step = (angle[-1] - angle[0]) / max(time.size - 1, 1)
     orders = orders[(orders * step < np.pi) | (orders == order)]

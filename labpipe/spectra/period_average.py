@@ -231,8 +231,7 @@ def settling_finding(
 
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
-    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation
-    (spec-period).
+    Equation (spec-period).
     """
 
     def __init__(
@@ -312,11 +311,10 @@ class PeriodAverage:
 
 
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
-    """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h. Few
-    periods give too few degrees of freedom per line for weights; broadband noise is shared by neighbours. A
-    line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged; of fewer
-    periods than channels its own noise has no inverse, and *with_inverse* what exceeds its neighbours' raises
-    theirs. Equation (spec-smoothed-noise).
+    """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h. A
+    line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged; of
+    fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its
+    neighbours' raises theirs. Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum

@@ -151,7 +151,6 @@ def _injected_lines(
 def _change(
     spectra: Sequence[LineSpectrum], halves: Sequence[LineSpectrum | None], lines: BoolArray, layout: Layout
 ) -> ComplexArray | None:
-    """H of the second half of the periods less that of the first (n_line, n_output, n_input)."""
     first = [half.select(lines) for half in halves if half is not None]
     if len(first) < len(spectra):
         return None
@@ -190,9 +189,8 @@ def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
 def period_average(
     source: SampleSource, settings: FrfSettings
 ) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
-    """The averaged lines of one recording in the band, those of the first half of its periods, and findings:
-    motion that had not settled, a rest position that creeps. The creep is subtracted; where nothing moves but
-    the force makes it, the file is read once.
+    """The averaged lines of one recording in the band, those of the first half of its periods, and
+    findings: motion that had not settled, a rest position that creeps.
     """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
@@ -375,7 +373,6 @@ def left_out_lines(
 def _left_out_notes(
     spectra: Sequence[LineSpectrum], lines: BoolArray, matrix: ComplexArray, layout: Layout, period: float
 ) -> tuple[Finding, ...]:
-    """A note for each response and kind of lines, of the recording in which it moves most there."""
     largest: dict[tuple[str, str], tuple[float, float]] = {}
     frequency = spectra[0].frequency
     whole = (
@@ -431,9 +428,8 @@ def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
 
 
 def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
-    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the
-    number M of realisations. Distortion is averaged over *half_width* lines to either side, as noise is.
-    Raises as robust_distortion does. Equation (frf-robust).
+    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by
+    the number M of realisations. Raises as robust_distortion does. Equation (frf-robust).
     """
     first, m = responses[0], len(responses)
     levels = robust_distortion(responses)

@@ -24,7 +24,6 @@ from labpipe.spectra.channels import check_in_time, columns_of
 from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.settings import FrfSettings
 
-# Time derivatives of a motion.
 ORDER_OF = {"displacement": 0, "velocity": 1, "acceleration": 2}
 FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 
@@ -295,7 +294,7 @@ def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
 
 def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) -> tuple[Finding, ...]:
     """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the
-    *multiple* coherence (same shape). Lines of low coherence alone are no fault: every response has some.
+    *multiple* coherence (same shape).
     """
     total = np.sum(power, axis=0)
     noise = np.divide(
@@ -375,7 +374,6 @@ def _place(
 def _covariance(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> StoredCovariance:
-    """Covariance of all elements, a block for every response where they are alike."""
     covariances = [
         covariance for covariance in (response.covariance for response in responses) if covariance is not None
     ]
@@ -394,7 +392,6 @@ def _covariance(
 def _errors(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> tuple[MatrixError, ...]:
-    """The systematic errors of all responses; one of several responses is one error in all of them."""
     uncertainties = {
         error.uncertainty.source: error.uncertainty for response in responses for error in response.errors
     }

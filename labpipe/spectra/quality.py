@@ -325,9 +325,9 @@ class AliasingMonitor(DerivedRecording):
 def aliasing_findings(
     sources: Sequence[AliasingMonitor], band: tuple[float, float] | None, channels: Collection[str]
 ) -> tuple[Finding, ...]:
-    """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth of
-    that in the band. Components above half the sampling rate fold back to just below it first. The powers of
-    all recordings are added: an output that a force does not excite holds noise only.
+    """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth
+    of that in the band. The powers of all recordings are added: an output that a force does not excite
+    holds noise only.
     """
     total: dict[str, FloatArray] = {}
     for source in sources:

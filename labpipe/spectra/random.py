@@ -155,7 +155,6 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
 
 
 def _shares(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
-    """What each recording adds to joined_spectra."""
     n_block = sum(spectrum.n_block for spectrum in spectra)
     return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
@@ -384,7 +383,6 @@ def welch_average(
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros for the other channels."""
     if len(columns) == n_channel:
         return spectra
     n_line, _, n_column = spectra.matrix.shape

@@ -16,7 +16,6 @@ from labpipe.spectra.settings import ShaftLines
 # upper one.
 LOW_SHARE, HIGH_SHARE = 0.4, 0.6
 
-# Revolutions over which the speed is averaged.
 STRETCH = 10
 
 

@@ -150,7 +150,6 @@ def settle_time(courses: Sequence[Course]) -> float:
 
 
 def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean time [s], excess over dwells and channels, and its error under noise, of each bin."""
     total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
     for course in courses:
@@ -263,7 +262,6 @@ def _of_frequency(
 
 
 def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
-    """Noise of the means, its density averaged over *half_width* lines to either side."""
     duration = np.array([line.duration for line in lines])[:, None, None]
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
@@ -351,7 +349,6 @@ def _settle_of_force(courses: list[Course], otherwise: float) -> float:
 
 
 def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Settling, force: int) -> Line:
-    """The amplitudes of one dwell after its transient, relative to the phase of the force."""
     rate = source.sample_rate
     start = dwell.start + settling.samples(settling.responses, dwell, rate)
     # The last period may hold the beginning of the next step.

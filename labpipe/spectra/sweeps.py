@@ -14,7 +14,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.spectra.damping import HalfPower, half_power
 
-# Fewest periods of one frequency that count as a dwell.
 LEAST_PERIODS = 5
 # A zero crossing counts once the force has been below this share of its local peak.
 HYSTERESIS = 0.3
@@ -111,7 +110,6 @@ def _scatter(times: FloatArray) -> float:
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings on one straight line each."""
     pieces, first = [], 0
     line = _Line()
     for number, time in enumerate(times):
@@ -294,7 +292,6 @@ def _runs(times: FloatArray) -> list[tuple[int, int]]:
 
 
 def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
-    # Running median; the values at the ends are repeated.
     padded = np.pad(-np.log(np.diff(times)), AT_END // 2, mode="edge")
     level = np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1)
     wide = float(np.ptp(level))
@@ -349,7 +346,6 @@ def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
 
 
 def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Times [samples] and frequencies [periods per sample] between neighbouring crossings of a run."""
     middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
     return middle, np.concatenate([1 / np.diff(times) for times in run])
 
@@ -392,7 +388,6 @@ def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
 
 
 def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
-    """The sweep with zero crossings at the pieces of a *run*."""
     times = np.concatenate(run)
     middle, frequency = _course(run)
     lines = {law: np.polyfit(middle, there(frequency), 1) for law, (there, _) in LAWS.items()}
@@ -455,8 +450,6 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
         starts.append(max(early, 0 if before == 0 else (before + sweep.start + 1) // 2))
     return list(zip(starts, [*starts[1:], n_sample], strict=True))
 
-
-# How fast a resonance is swept: against the rule of ISO 7626-2, and against what the record resolves.
 
 # Lines in the half-power width that show a resonance at all; those that tell its leakage from its response:
 # with half as many the damping was off by up to half its standard error.

@@ -107,7 +107,6 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     blocks = np.concatenate(
         [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
     )
-    # What every sweep passes.
     band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
     if band[0] >= band[1]:
         raise DataError("the sweeps have no band in common", hint="one test for each band")
@@ -221,7 +220,6 @@ def _in_band(
 
 
 def _driven_lines(forces: ComplexArray) -> BoolArray:
-    """Lines at which every force has its usual level of the lines around, or not much less."""
 
     level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
     usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))

@@ -74,8 +74,7 @@ class WithoutSynchronous(DerivedRecording):
 def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
     """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
     recording. The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous
-    averaging (McFadden 1987). A given speed is refined first. DataError for fewer than two revolutions.
-    Equation (spec-synchronous).
+    averaging (McFadden 1987). DataError for fewer than two revolutions. Equation (spec-synchronous).
     """
     motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
@@ -96,7 +95,6 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
 
 
 def _motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
-    """The shaft's motion; DataError for harmonics that reach half the sampling rate, and are others there."""
     motion = shaft_motion(source, lines)
     top = lines.harmonics * motion.speed_range[1]
     if top < source.sample_rate / 2:
@@ -176,7 +174,6 @@ def _refine(source: SampleSource, speed: float, stretch: int) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-# Factor by which the stretches grow that refine a speed.
 LONGER = 4
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, which is
 # dropped. It is fitted all the same, down to the smaller share, since it leaks into neighbouring lines.

@@ -337,9 +337,7 @@ class CrossSpectra:
 
 
 class WelchAverage:
-    """Running sum of the cross-spectral matrix, fed with blocks of any length. Segments are transformed a few
-    at a time.
-    """
+    """Running sum of the cross-spectral matrix, fed with blocks of any length."""
 
     def __init__(
         self,
@@ -437,7 +435,6 @@ def trend_basis(detrend: str, n_sample: int) -> FloatArray:
 
 
 def _significant_lines(trend: ComplexArray) -> ComplexArray:
-    """The first lines (n_row, n_line) up to the last one above rounding."""
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
     return trend[:, : above[-1] + 1 if above.size else 0]

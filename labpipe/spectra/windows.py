@@ -179,9 +179,7 @@ def has_kernel(blocks: Blocks) -> bool:
 
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
-    """The spectrum of the blocks' window; ConfigError for an unknown window. Equation (frf-leakage-
-    kernel).
-    """
+    """The spectrum of the blocks' window; ConfigError for an unknown one. Equation (frf-leakage-kernel)."""
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2

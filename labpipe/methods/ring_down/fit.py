@@ -221,8 +221,6 @@ EXPLAINED = 0.42
 
 @dataclass(frozen=True)
 class _Fitted:
-    """The *decays*, the *pieces* of their outputs *columns*, and their fit."""
-
     decays: FreeDecays
     columns: Sequence[int]
     pieces: tuple[likelihood.Piece, ...]

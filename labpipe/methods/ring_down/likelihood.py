@@ -21,7 +21,6 @@ from labpipe.spectra.bands import lines_in
 
 # Smooth terms along the lines of a band, which carry what modes outside it add.
 SMOOTH_TERMS = 3
-# Fewest lines of a decay in a band.
 LEAST_LINES = 4 * SMOOTH_TERMS
 
 
@@ -254,7 +253,6 @@ def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
 
 
 def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Information (2 n_mode, 2 n_mode) of Re and Im of the poles, and its right side."""
     n_mode = solved[0].amplitudes.shape[0]
     information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
     for part, variances in zip(solved, variance, strict=True):
