@@ -116,10 +116,6 @@ def _last(name: str) -> str:
     return re.split("[./]", name)[-1]
 
 
-def _is_time(name: str) -> bool:
-    return _last(name).lower() in ("t", "time")
-
-
 def _is_named(name: str, names: tuple[str, ...]) -> bool:
     last_part = _last(name).lower()
     return last_part in names or last_part.removeprefix("time_") in names
@@ -180,7 +176,7 @@ class ArraysTable:
     ) -> None:
         self.path = path
         chosen = longest(columns, path)
-        times = [name for name in chosen if _is_time(name)]
+        times = [name for name in chosen if _last(name).lower() in ("t", "time")]
         names, of_texts, sensitivities = describe([n for n in chosen if n not in times], texts or {})
         self._columns = distinct(((names.get(name, name), column) for name, column in chosen.items()), path)
         units = {names.get(name, name): unit for name, unit in (of_texts | units).items()}

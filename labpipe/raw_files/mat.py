@@ -319,7 +319,6 @@ def hdf5_table(path: Path) -> ArraysTable:
     """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError
     when it is damaged. Links into other files are not followed.
     """
-    check_filled(path)
     check_hdf5(path)
     with reading(path, "HDF5 file"):
         file = h5py.File(path, "r")
@@ -469,8 +468,8 @@ def _shape(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Pa
 
 
 def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]:
-    labels = _texts(variables[f"{side}s"])
-    dofs = _texts(variables.get(f"{side}_dofs", variables[f"{side}s"]))
+    labels = lines_of(variables[f"{side}s"])
+    dofs = lines_of(variables.get(f"{side}_dofs", variables[f"{side}s"]))
     angles = np.asarray(variables.get(f"{side}_angles_rad", np.full(len(labels), np.nan)), float).ravel()
     if not labels or not len(labels) == len(dofs) == angles.size:
         raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad differ in length", path)
@@ -478,13 +477,6 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
     return tuple(
         Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in ports
     )
-
-
-def _texts(cells: Any) -> list[str]:
-    return [
-        text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
-        for cell in np.asarray(cells).ravel()
-    ]
 
 
 def write_recording_mat(path: Path, recording: Recording) -> None:

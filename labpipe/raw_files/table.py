@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError, LabpipeError, cut
 from labpipe.quantities import NONE, UnitError, parse_unit
-from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.text_table import check_filled, plain_suffix
 from labpipe.registry import Registry, nearest
 
 
@@ -217,6 +217,7 @@ def open_table(path: Path) -> Table:
         )
     if not path.is_file():
         raise DataError("is no regular file", path)
+    check_filled(path)
     table: Table = GuardedTable(guard(READERS.load(suffix), path))
     return table
 

@@ -14,7 +14,7 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import check_names, unique
-from labpipe.raw_files.text_table import check_filled, reading
+from labpipe.raw_files.text_table import reading
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -40,7 +40,6 @@ class TdmsTable:
         self.path = path
         # Suppresses npTDMS's log of a damaged file: there is one error message.
         log_manager.set_level(logging.ERROR)
-        check_filled(path)
         with reading(path, "TDMS file"), path.open("rb") as stream, TdmsFile.open(stream) as file:
             if file.file_status.incomplete_final_segment:
                 hint = "the logger was interrupted, or the copy is incomplete"

@@ -33,7 +33,7 @@ from labpipe.spectra.covariance import (
 )
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
-from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
+from labpipe.spectra.ports import Layout, Parts, at_columns, coherence_findings, lines_left
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
@@ -176,11 +176,7 @@ def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
         return layout.padded(recording, matrix, 2)
     rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
     acting = np.array(layout.input_columns[recording]) >= 0
-    if np.all(acting):
-        return rows
-    padded = np.zeros((*rows.shape[:2], acting.size), np.complex128)
-    padded[:, :, acting] = rows
-    return padded
+    return at_columns(rows, np.where(acting, np.cumsum(acting) - 1, -1), 1)
 
 
 def change_of_random(
@@ -383,16 +379,9 @@ def welch_average(
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    if len(columns) == n_channel:
-        return spectra
-    n_line, _, n_column = spectra.matrix.shape
-    rows = np.zeros((n_line, n_channel, n_column), np.complex128)
-    rows[:, columns] = spectra.matrix
-    if n_column < len(columns):
-        return replace(spectra, matrix=rows)
-    matrix = np.zeros((n_line, n_channel, n_channel), np.complex128)
-    matrix[:, :, columns] = rows
-    return replace(spectra, matrix=matrix)
+    places = [columns.index(number) if number in columns else -1 for number in range(n_channel)]
+    rows = at_columns(spectra.matrix.swapaxes(1, 2), places, 1).swapaxes(1, 2)
+    return replace(spectra, matrix=rows if rows.shape[2] < len(columns) else at_columns(rows, places, 1))
 
 
 def parts_of_single_forces(
@@ -410,10 +399,13 @@ def parts_of_single_forces(
     covariance: StoredCovariance = None
     if averages > n_input + 1:
         residual = without_rounding(s_yy - response @ hermitian(s_yu))
+        of_force = np.array([spectrum.averages for spectrum in spectra]) @ (
+            np.array(layout.input_columns) >= 0
+        )
         covariance = _covariance(
             pooled_residual(residual, response, half_width),
             power * (averages - n_input),
-            noise_levels(by_force - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout) - 1),
+            noise_levels(by_force - np.abs(s_yu) ** 2 / power[:, None], of_force - 1),
         )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
@@ -442,11 +434,6 @@ def _sum(
         s_yy += share * matrix[:, rows][:, :, rows]
         by_force[:, :, force] += share * matrix[:, rows, rows].real
     return power, s_yu, s_yy, by_force
-
-
-def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
-    acting = np.array(layout.input_columns) >= 0
-    return np.asarray(np.array([spectrum.averages for spectrum in spectra]) @ acting)
 
 
 def _covariance(residual: ComplexArray, power: FloatArray, levels: FloatArray) -> BlockCovariance:

@@ -79,20 +79,15 @@ class _Problem:
         amplitudes = [solved.amplitudes[mode, output] for solved in fitted.pieces]
         self.amplitudes: ComplexArray = np.array(amplitudes)
         self.largest = float(np.max(np.abs(self.amplitudes)))
-        self.ranges = [np.linalg.qr(piece.nuisance)[0] for piece in pieces]
         self.targets = []
         others = np.arange(fitted.poles.size) != mode
         for number, piece in enumerate(pieces):
             course = np.exp(piece.time[:, None] * fitted.poles_of(number)[others])
             course = (course @ fitted.pieces[number].amplitudes[others, output]).real
             rows = piece.rows[:, output] - piece.project(course[:, None])[:, 0]
-            self.targets.append(self._free(number, rows))
+            self.targets.append(piece.free(rows))
         parts = [target / d for target, d in zip(self.targets, self.deviation, strict=True)]
         self.size = float(np.sqrt(sum(np.sum(part**2) for part in parts)))
-
-    def _free(self, number: int, rows: FloatArray) -> FloatArray:
-        range_ = self.ranges[number]
-        return np.asarray(rows - range_ @ (range_.T @ rows))
 
     @property
     def start(self) -> FloatArray:
@@ -116,7 +111,7 @@ class _Problem:
         size = amplitude(piece.time, first, omega, rest, slope)
         angle = omega * piece.time + turn * travel(piece.time, first, omega, rest, slope) + phase
         rows = piece.project((size * np.cos(angle))[:, None])[:, 0]
-        return self._free(number, rows) / self.deviation[number]
+        return np.asarray(piece.free(rows) / self.deviation[number])
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         pairs = zip(self.targets, self.deviation, strict=True)
@@ -151,7 +146,7 @@ def fitted_law(
     minimum = minimise(problem, problem.start, near=1e-4)
     linear = linearised(problem, minimum.values)
     inverse = np.linalg.pinv(linear.triangle * linear.scale, rcond=1e-15)
-    nuisance = sum(range_.shape[1] for range_ in problem.ranges)
+    nuisance = sum(piece.nuisance.shape[1] for piece in pieces)
     noise = linear.chi2 / max(linear.n_equation - minimum.values.size - nuisance, 1)
     covariance = (inverse @ inverse.T)[:SHARED, :SHARED] * noise * np.outer(problem.units, problem.units)
     rest, slope, turn, omega = (float(value) for value in problem.physical(minimum.values))

@@ -391,7 +391,7 @@ def _report(fitted: _Fitted, settings: FitSettings, parameters: tuple[Parameter,
     of, pieces = fitted.fit, fitted.pieces
     equations = sum(piece.rows.size for piece in pieces)
     left = _square_sum(solved.residual for solved in of.pieces)
-    r2 = 1 - left / _square_sum(_free_of_nuisance(piece) for piece in pieces)
+    r2 = 1 - left / _square_sum(piece.free(piece.rows) for piece in pieces)
     adjusted = 1 - (1 - r2) * equations / of.dof
     slopes = scipy.linalg.block_diag(
         *([gradient for *_, gradient in _frequency_and_damping(pole)] for pole in of.poles)
@@ -416,11 +416,6 @@ def _report(fitted: _Fitted, settings: FitSettings, parameters: tuple[Parameter,
 
 def _square_sum(parts: Iterable[FloatArray]) -> float:
     return sum(float(np.sum(part**2)) for part in parts)
-
-
-def _free_of_nuisance(piece: likelihood.Piece) -> FloatArray:
-    range_ = np.linalg.qr(piece.nuisance)[0]
-    return np.asarray(piece.rows - range_ @ (range_.T @ piece.rows))
 
 
 def _notes(fitted: _Fitted) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -36,6 +37,14 @@ class Piece:
     rows: FloatArray
     lines: IntArray | None
     nuisance: FloatArray
+
+    @cached_property
+    def _range(self) -> FloatArray:
+        return np.linalg.qr(self.nuisance)[0]
+
+    def free(self, rows: FloatArray) -> FloatArray:
+        """*rows* (n_row, ...) [any unit] without what the nuisance explains."""
+        return np.asarray(rows - self._range @ (self._range.T @ rows))
 
     def project(self, columns: FloatArray) -> FloatArray:
         """The rows (n_row, n) of functions of time (n_sample, n) [any unit]: orthonormal, so that noise keeps
