@@ -121,9 +121,7 @@ BLOCK = 4096
 
 
 class EnvelopeTrack:
-    """Minima and maxima over intervals of equal length. Pairs of intervals are merged when there are too
-    many.
-    """
+    """Minima and maxima over intervals of equal length."""
 
     def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
         self._most = stretches + stretches % 2

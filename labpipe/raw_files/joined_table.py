@@ -23,9 +23,9 @@ BESIDE = 0.1
 
 
 class JoinedTable:
-    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all but
-    the first. With *time*, the name of their common time column, rows are those of equal times; without, row
-    1 stands beside row 1. What some files lack is cut, and `findings` says so once the table has been read.
+    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all
+    but the first. With *time*, the name of their common time column, rows are those of equal times;
+    without, row 1 stands beside row 1.
     """
 
     def __init__(self, tables: Sequence[Table], time: str | None) -> None:

@@ -56,9 +56,8 @@ def _touch(_: str, item: object) -> None:
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
-    """The variables of these names, arrays in MATLAB's order of dimensions, texts as arrays of str. MATLAB
-    stores columns first, a complex number as (real, imag), a text as UTF-16 codes, a cell as references.
-    Links into other files are not followed. DataError for a damaged file.
+    """The variables of these names, arrays in MATLAB's order of dimensions, texts as arrays of str. Links
+    into other files are not followed. DataError for a damaged file.
     """
     check_hdf5(path)
     with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
@@ -78,16 +77,6 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
     with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
         file.visititems(add)
     return tuple(names)
-
-
-def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
-    """True if a readable HDF5 file holds data sets of all these names."""
-    check_hdf5(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return all(isinstance(file.get(name), h5py.Dataset) for name in names)
-    except (OSError, RuntimeError, KeyError):
-        return False
 
 
 def _value(file: h5py.File, item: h5py.Dataset) -> Any:
@@ -121,7 +110,7 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 def check_elements(path: Path) -> None:
     """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
-    size; zlib.error for a wrong checksum. Versions 4 and 7.3 are checked by their readers.
+    size; zlib.error for a wrong checksum.
     """
     content = path.read_bytes()
     if 0 not in content[:4]:
@@ -207,24 +196,21 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """(name, array) of a variable, of the fields of a structure ("run.x"), or of each structure of an array
     or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as in MATLAB).
     """
-    names = getattr(getattr(value, "dtype", None), "names", None)
-    if (
-        getattr(getattr(value, "dtype", None), "kind", "") == "O"
-        and not names
-        and not isinstance(value, MatlabOpaque)
-    ):
+    is_array = isinstance(value, np.ndarray) and not isinstance(value, MatlabOpaque)
+    names = value.dtype.names if is_array else None
+    boxed = []
+    if is_array and value.dtype.kind == "O":
         boxed = [(number, item) for number, item in enumerate(value.flat, 1) if hasattr(item, "dtype")]
-        if any(item.dtype.names or item.dtype.kind == "O" for _, item in boxed):
-            for number, item in boxed:
-                yield from _fields(f"{name}{{{number}}}", item)
-            return
-    if not names or isinstance(value, MatlabOpaque):
+    if names:
+        for number, element in enumerate(value.flat, 1):
+            place = name if value.size == 1 else f"{name}({number})"
+            for field in names:
+                yield from _fields(f"{place}.{field}", element[field])
+    elif any(item.dtype.names or item.dtype.kind == "O" for _, item in boxed):
+        for number, item in boxed:
+            yield from _fields(f"{name}{{{number}}}", item)
+    else:
         yield name, value
-        return
-    for number, element in enumerate(value.flat, 1):
-        place = name if value.size == 1 else f"{name}({number})"
-        for field in names:
-            yield from _fields(f"{place}.{field}", element[field])
 
 
 # The fields in which programs keep the samples of a channel beside its name and unit (dSPACE:
@@ -422,9 +408,14 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 def holds_response(path: Path) -> bool:
     """True if a readable MATLAB or HDF5 file holds a response."""
-    if is_hdf5(path):
-        return has_hdf5_variables(path, _MARKS)
-    return set(_MARKS) <= load_variables(path).keys()
+    if not is_hdf5(path):
+        return set(_MARKS) <= load_variables(path).keys()
+    check_hdf5(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return all(isinstance(file.get(name), h5py.Dataset) for name in _MARKS)
+    except (OSError, RuntimeError, KeyError):
+        return False
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:

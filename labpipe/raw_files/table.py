@@ -43,9 +43,7 @@ Read = TypeVar("Read")
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """DataError for every exception of a library inside the block. Faults of the machine keep their own
-    words.
-    """
+    """DataError for every exception of a library inside the block."""
     try:
         # Numbers out of range are refused by the screening, with channel and sample.
         with np.errstate(all="ignore"):

@@ -268,7 +268,7 @@ class _Candidate:
 
 def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers. *number*
-    knows what a number is. Columns of text may stand beside those of numbers.
+    knows what a number is.
     """
     encoding, lines = _head(path)
     sample = [n for n in _sample(len(lines)) if lines[n].strip()]

@@ -125,10 +125,9 @@ def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
 
 
 def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
-    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs* of
-    each. The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and variance
-    of the logarithm of an F-distributed number. A channel without noise in one of two runs is not in that
-    run. Equation (spec-pooled-runs).
+    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs*
+    of each. The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and
+    variance of the logarithm of an F-distributed number. Equation (spec-pooled-runs).
     """
     powers = [np.einsum("lcc->lc", noise).real for noise in noises]
     for power, dof in zip(powers[1:], dofs[1:], strict=True):
@@ -156,10 +155,9 @@ def channel_spectra(
     name: str = "",
     conditions: dict[str, Any] | None = None,
 ) -> ChannelSpectra:
-    """The complex amplitudes of all channels of a test, run by run, with their covariance. A run is a
-    recording of periodic excitation, or the part of random ones due to a drive. A line stays where any force
-    acts in any run. DataError for recordings that do not fit together, are too short, hold NaN or no force,
-    ConfigError for an excitation other than periodic and random.
+    """The complex amplitudes of all channels of a test, run by run, with their covariance. A line stays
+    where any force acts in any run. DataError for recordings that do not fit together, are too short, hold
+    NaN or no force, ConfigError for an excitation other than periodic and random.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:

@@ -130,9 +130,9 @@ SMALLEST_ANGLE = 1e-3
 
 def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance
-    (Mendes et al.). Rows and columns are labelled f and b. Outputs and forces may point in any two known
-    directions each. Coherence and distortion are dropped. DataError unless there are two outputs and two
-    forces in known, different directions. Equation (frf-directional).
+    (Mendes et al.). Outputs and forces may point in any two known directions each. Coherence and distortion
+    are dropped. DataError unless there are two outputs and two forces in known, different directions.
+    Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)

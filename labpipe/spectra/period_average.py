@@ -82,8 +82,8 @@ class RestMotion:
     @classmethod
     def of(cls, levels: FloatArray) -> RestMotion:
         """From the means of two periods or more, *levels* (n_period, n_channel) [unit of the channel]. The
-        parabola through the means of a period and of its neighbours; before the second and after the last but
-        one that of their neighbour. What repeats with the periods is in none of them. Equation (spec-creep).
+        parabola through the means of a period and of its neighbours; before the second and after the last
+        but one that of their neighbour. Equation (spec-creep).
         """
         if len(levels) == 2:
             slope = np.repeat(np.diff(levels, axis=0), 2, axis=0)
@@ -101,10 +101,9 @@ class RestMotion:
         return course
 
     def seen(self, spectrum: LineSpectrum, n_sample: int, numbers: IntArray) -> BoolArray:
-        """Channels (n_channel,) with a line on which it shifts the mean by more than its standard deviation,
-        or a single period by more than that of a period (twice that of two periods, which tell it poorly).
-        *numbers* (n_line,) of the spectrum's lines in a period of *n_sample*. Noise alone shifts a period on
-        line k by 1/(9 k) of its standard deviation.
+        """Channels (n_channel,) with a line on which it shifts the mean by more than its standard
+        deviation, or a single period by more than that of a period (twice that of two periods, which tell
+        it poorly). *numbers* (n_line,) of the spectrum's lines in a period of *n_sample*.
         """
         if spectrum.noise is None:
             return np.zeros(self.slope.shape[1], bool)

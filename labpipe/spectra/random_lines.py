@@ -37,9 +37,8 @@ SILENT = 2.0
 def check_moved(
     strength: FloatArray, frequency: FloatArray, injected: Sequence[str], forces: Sequence[str]
 ) -> None:
-    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength* (n_line,)
-    [1] at *frequency* [Hz]. On such a line the ratio to the force is one of noise to noise, so that not even
-    many of them are left out of a fit by their weight.
+    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength*
+    (n_line,) [1] at *frequency* [Hz].
     """
     share = float(np.mean(strength < SILENT))
     if share <= POOR_SHARE:

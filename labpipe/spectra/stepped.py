@@ -150,18 +150,17 @@ def settle_time(courses: Sequence[Course]) -> float:
 
 
 def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
-    when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
+    n_bin = edges.size - 1
+    total, variance, when, count = np.zeros((4, n_bin))
     for course in courses:
-        place = np.minimum(np.searchsorted(edges, course.times, side="right") - 1, edges.size - 2)
-        number = np.bincount(place, minlength=edges.size - 1)
-        some = number > 0
-        deviation = course.deviation()
-        sums = np.bincount(place, deviation.sum(axis=1), minlength=edges.size - 1)
-        total[some] += sums[some] / number[some]
+        place = np.minimum(np.searchsorted(edges, course.times, side="right") - 1, n_bin - 1)
+        number = np.bincount(place, minlength=n_bin)
+        deviation, at_least_one = course.deviation(), np.maximum(number, 1)
+        total += np.bincount(place, deviation.sum(axis=1), n_bin) / at_least_one
         # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom.
-        variance[some] += deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0]) / number[some]
-        when += np.bincount(place, course.times, minlength=edges.size - 1)
+        of_block = deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0])
+        variance += np.where(number > 0, of_block / at_least_one, 0.0)
+        when += np.bincount(place, course.times, n_bin)
         count += number
     some = count > 0
     return when[some] / count[some], total[some], np.sqrt(variance[some])

@@ -139,9 +139,7 @@ class _Problem:
 def fitted_law(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> FittedLaw:
-    """The law of a mode from all pieces of one output, from the exponential fit on. Standard errors from the
-    residual it leaves.
-    """
+    """The law of a mode from all pieces of one output, from the exponential fit on."""
     problem = _Problem(pieces, fitted, mode, output)
     minimum = minimise(problem, problem.start, near=1e-4)
     linear = linearised(problem, minimum.values)

@@ -59,9 +59,7 @@ class DecayRig(Settings):
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:
-    """The named runs: displacement y [m] with noise. The motion after a hit replaces what is left of the one
-    before.
-    """
+    """The named runs: displacement y [m] with noise."""
     return tuple(_run(rig, name, generator(seed, name)) for name in names)
 
 
