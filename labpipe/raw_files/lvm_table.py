@@ -19,8 +19,8 @@ from labpipe.raw_files.text_table import open_text
 END = "***End_of_Header***"
 X_VALUE = "X_Value"
 CHUNK_ROWS = 1 << 14
-# Share of a step by which channels may begin apart.
-BESIDE = 0.1
+# Share of a step by which channels may begin apart, and the rate [Hz] whose step that is beside X values.
+BESIDE, UNSTATED = 0.1, 1e5
 # LabVIEW's own words for units; others are written as they are.
 # LabVIEW's spectral measurements name their channels so, and write "Time" as the dimension of X all the same.
 SPECTRUM = re.compile(r"\((FFT\b|FRF\b|(power|amplitude|cross) spectr)", re.IGNORECASE)
@@ -72,7 +72,7 @@ class LvmTable:
             places = {name: place for name, place in places.items() if name not in slower}
             self._count = header.counts[next(iter(places.values()))]
         starts = [header.starts[place] for place in places.values() if header.titles[place] != X_VALUE]
-        if not header.spectrum and np.ptp(starts) > BESIDE / (self.sample_rate or np.inf):
+        if not header.spectrum and np.ptp(starts) > BESIDE / (self.sample_rate or UNSTATED):
             what = f"its channels begin up to {np.ptp(starts):g} s apart (X0)"
             raise DataError(what, path, "write channels that begin together")
         self.start = starts[0] if header.rates else 0.0

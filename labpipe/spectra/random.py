@@ -176,7 +176,7 @@ def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
         return layout.padded(recording, matrix, 2)
     rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
     acting = np.array(layout.input_columns[recording]) >= 0
-    return at_columns(rows, np.where(acting, np.cumsum(acting) - 1, -1), 1)
+    return at_columns(rows, np.where(acting, np.cumsum(acting) - 1, -1).tolist(), 1)
 
 
 def change_of_random(
