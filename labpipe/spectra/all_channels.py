@@ -103,11 +103,11 @@ def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
     single = [s.noise * s.n_period for s in spectra if s.noise is not None]
     dofs = [spectrum.dof for spectrum in spectra]
     if len(spectra) > 1 and shared_noise(single, dofs):
-        dof = sum(dofs)
-        pooled = np.tensordot(dofs, single, axes=1) / dof
-        # Zero where one of two channels was not recorded.
-        there = [np.any(np.einsum("lcc->lc", noise).real > 0, axis=0) for noise in single]
-        single = [pooled * np.outer(channels, channels) for channels in there]
+        there = np.array([np.any(np.einsum("lcc->lc", noise).real > 0, axis=0) for noise in single])
+        # A run that lacks a channel holds zeros for its noise.
+        weights = np.all(there[:, None] == there, axis=2) * np.array(dofs)
+        single = [np.tensordot(of_run, single, axes=1) / of_run.sum() for of_run in weights]
+        dof = float(weights.sum(axis=1).min())
     else:
         dof = min(dofs)
     # Noise that the loop shapes is not the same on lines far apart: no more of them than weights need.

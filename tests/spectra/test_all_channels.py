@@ -382,3 +382,24 @@ def test_a_response_matrix_says_what_to_do_with_such_recordings() -> None:
 def test_keys_that_do_not_go_with_spectra_are_refused(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         FrfSettings(**settings)  # type: ignore[arg-type]
+
+
+def test_a_force_recorded_in_one_of_two_runs_keeps_its_noise(rng) -> None:
+    """White noise s of a probe is 4 s^2 / (N n) in the mean of n periods of N samples; half of it was stated
+    of a force that the other run does not have.
+    """
+    n, n_period, s = 100, 8, 0.01
+    time = np.arange(n * n_period) / n
+    sines = sum(np.cos(2 * np.pi * line * time + line**2) for line in range(5, 40))
+    runs = []
+    for axis, angle in (("x", 0.0), ("y", np.pi / 2)):
+        force = Channel(f"f_{axis}", "force", "input", axis, angle)
+        samples = np.column_stack([sines, 2 * sines]) + s * rng.normal(size=(time.size, 2))
+        runs.append(
+            Recording((force, Channel("d", "displacement", "output", "x", 0.0)), samples, float(n), axis)
+        )
+    found = channel_spectra(runs, FrfSettings("periodic", period=1.0, skip=0, result="spectra"))
+    variance = np.einsum("lrcc->rc", found.covariance).real / found.frequency.size / (4 * s**2 / n / n_period)
+    names = [channel.name for channel in found.channels]
+    stated = [variance[run, names.index(name)] for run, name in ((0, "f_x"), (1, "f_y"), (0, "d"), (1, "d"))]
+    np.testing.assert_allclose(stated, 1.0, rtol=0.25)
