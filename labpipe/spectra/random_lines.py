@@ -132,7 +132,12 @@ def random_lines(
     transform = layout.transform(frequency)
     s_zr = transform @ matrix[:, :n, n:]
     s_zz = transform @ matrix[:, :n, :n] @ hermitian(transform)
-    columns, residual = due_to_drives(s_zz, s_zr, lower, averages)
+    columns, left = due_to_drives(s_zz, s_zr, lower, averages)
+    residual, share = left, weights / weights.sum() @ (np.array(layout.columns) >= 0)
+    if np.any(share < 1):
+        # Recordings without a channel are zeros in the mean, which is the noise of the others.
+        recorded = due_to_drives(matrix[:, :n, :n], matrix[:, :n, n:], lower, averages)[1]
+        residual = transform @ (recorded / np.sqrt(np.outer(share, share))) @ hermitian(transform)
     # The amplitude, 0 to peak, of the lines of one block.
     assert settings.block is not None
     width = 2 / settings.block
@@ -160,7 +165,7 @@ def random_lines(
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
         blocks=blocks_of(spectra, settings, "H1"),
-        findings=(*findings, *_unexplained_findings(s_zz, residual, layout), *fed_back),
+        findings=(*findings, *_unexplained_findings(s_zz, left, layout), *fed_back),
         weak=weak,
     )
 

@@ -403,3 +403,25 @@ def test_a_force_recorded_in_one_of_two_runs_keeps_its_noise(rng) -> None:
     names = [channel.name for channel in found.channels]
     stated = [variance[run, names.index(name)] for run, name in ((0, "f_x"), (1, "f_y"), (0, "d"), (1, "d"))]
     np.testing.assert_allclose(stated, 1.0, rtol=0.25)
+
+
+def test_a_force_recorded_in_one_of_two_random_runs_keeps_its_noise(rng) -> None:
+    """White noise s of a probe, 2 s^2 / f_s in power, is 4 s^2 / (f_s T n) in the amplitude of a line of
+    blocks of T over the n averages of both runs; half was stated of a force that the other run lacks.
+    """
+    n, rate, s = 40_000, 100.0, 0.01
+    names = ("u", "v")
+    drives = [Channel(name, "voltage", "reference", name) for name in names]
+    runs = []
+    for number, (axis, angle) in enumerate((("x", 0.0), ("y", np.pi / 2))):
+        drive = rng.normal(size=n)
+        noisy = [drive + s * rng.normal(size=n), 2 * drive + s * rng.normal(size=n)]
+        columns = [*noisy, *(drive * (number == place) for place in range(2))]
+        force = Channel(f"f_{axis}", "force", "input", axis, angle)
+        response = Channel("d", "displacement", "output", "x", 0.0)
+        runs.append(Recording((force, response, *drives), np.column_stack(columns), rate, axis))
+    found = channel_spectra(runs, FrfSettings("random", block=1.0, result="spectra", reference=names))
+    averages = found.covariance_dof + 2
+    variance = np.einsum("lrcc->rc", found.covariance).real / found.frequency.size
+    stated = variance * averages * rate / (4 * s**2)
+    np.testing.assert_allclose(stated, 1.0, rtol=0.05)
