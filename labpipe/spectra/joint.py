@@ -35,6 +35,8 @@ from labpipe.spectra.settings import FrfSettings
 
 SIDE = 5
 FEWEST = 4
+# Standard errors by which a line lies beside that of its neighbours where it counts by itself.
+BENT = 5.0
 
 
 def covariance_by_neighbours(
@@ -47,14 +49,25 @@ def covariance_by_neighbours(
     """cov vec G (n_line, n, n) [unit^2 of H] of G = *matrix* (n_line, n_output, n_input) at *frequency*
     (n_line,) [Hz]. *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U);
     *noise*: their covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the
-    line that share its noise, which are left out. Equation (frf-neighbours).
+    line that share its noise, which are left out. A line far beside
+    that of its neighbours counts by itself. Equation (frf-neighbours).
     """
     there = _from_neighbours(frequency, matrix, gap)
-    n_output, n_input = matrix.shape[1:]
+    covariance = _covariance_of(there, vectors, noise)
+    variance = np.einsum("lii->li", covariance).real.reshape(matrix.shape)
+    # Of a sharp resonance a straight line tells less than the line's own noise leaves.
+    bent = np.any(np.abs(matrix - there) ** 2 > BENT**2 * variance, axis=(1, 2))
+    if not np.any(bent):
+        return covariance
+    return _covariance_of(np.where(bent[:, None, None], matrix, there), vectors, noise)
+
+
+def _covariance_of(there: ComplexArray, vectors: ComplexArray, noise: Sequence[ComplexArray]) -> ComplexArray:
+    n_line, n_output, n_input = there.shape
     residual_of = np.concatenate(
-        [-there, np.broadcast_to(np.eye(n_output), (frequency.size, n_output, n_output))], axis=2
+        [-there, np.broadcast_to(np.eye(n_output), (n_line, n_output, n_output))], axis=2
     )
-    forces = np.empty((frequency.size, n_input, len(noise)), np.complex128)
+    forces = np.empty((n_line, n_input, len(noise)), np.complex128)
     for run, of_run in enumerate(noise):
         crossed = of_run @ hermitian(residual_of)
         left = residual_of @ vectors[:, :, run : run + 1]
