@@ -260,7 +260,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         count, unused = table.columns.count(name), getattr(table, "unused", {})
         if count == 0 and name in unused:
             if getattr(table, "others", None):
-                what = f"'{name}' has another rate than the others"
+                what = f"'{name}' lies in another group than the others, or has another rate"
                 hint = "resample: RATE in the rig file brings all to one rate"
             else:
                 what = f"'{name}' has {unused[name]} values, fewer than the others"
