@@ -98,7 +98,7 @@ def restated(
         value=value,
         std_error_inflated=error,
         ci95=ci95,
-        t_ratio=None if parameter.t_ratio is None else value / error,
+        t_ratio=None if parameter.t_ratio is None or error == 0 else value / error,
         significant=None if parameter.significant is None else not ci95[0] <= 0 <= ci95[1],
         **others,
     )

@@ -13,10 +13,8 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
+from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.text_table import check_filled, reading
-
-# Named arrays of one file as a table: the longest vectors of equal length are the channels, a scalar such
-# as fs or dt their rate.
 
 CHUNK_ROWS = 1 << 17
 RATES = (
@@ -84,14 +82,20 @@ def longest(columns: Mapping[str, Column], where: Path) -> dict[str, Column]:
     return {name: column for name, column in columns.items() if column.n_value == length}
 
 
-def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
-    """The sampling rate [Hz] from scalars such as fs or dt. DataError when they contradict each other or are
-    not positive.
+def rate_of(scalars: Mapping[str, float], where: Path, units: Mapping[str, str]) -> float | None:
+    """The sampling rate [Hz] from scalars such as fs or dt, in Hz and s where no *units* say otherwise.
+    DataError when they contradict each other or are not positive.
     """
-    rates_by_name = {name: float(value) for name, value in scalars.items() if _is_named(name, RATES)}
-    rates_by_name |= {
-        name: 1 / float(value) if value else 0.0 for name, value in scalars.items() if _is_named(name, STEPS)
-    }
+
+    def named(names: tuple[str, ...], si_unit: str) -> dict[str, float]:
+        return {
+            name: value * _factor(units.get(name, ""), si_unit)
+            for name, value in scalars.items()
+            if _is_named(name, names)
+        }
+
+    steps = named(STEPS, "s").items()
+    rates_by_name = named(RATES, "Hz") | {name: 1 / step if step else 0.0 for name, step in steps}
     rates = list(rates_by_name.values())
     if not rates:
         return None
@@ -101,12 +105,15 @@ def rate_of(scalars: Mapping[str, float], where: Path) -> float | None:
     return rates[0]
 
 
+def _factor(unit: str, si_unit: str) -> float:
+    try:
+        return unit_of(unit or si_unit, si_unit).factor
+    except UnitError:
+        return 1.0
+
+
 def _last(name: str) -> str:
     return re.split("[./]", name)[-1]
-
-
-def _is_time(name: str) -> bool:
-    return _last(name).lower() in ("t", "time")
 
 
 def _is_named(name: str, names: tuple[str, ...]) -> bool:
@@ -169,7 +176,7 @@ class ArraysTable:
     ) -> None:
         self.path = path
         chosen = longest(columns, path)
-        times = [name for name in chosen if _is_time(name)]
+        times = [name for name in chosen if _last(name).lower() in ("t", "time")]
         names, of_texts, sensitivities = describe([n for n in chosen if n not in times], texts or {})
         self._columns = distinct(((names.get(name, name), column) for name, column in chosen.items()), path)
         units = {names.get(name, name): unit for name, unit in (of_texts | units).items()}
@@ -230,6 +237,8 @@ def numpy_table(path: Path) -> ArraysTable:
         for part, column in columns_of(name, array).items()
     )
     scalars = {
-        name: array.item() for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "iuf"
+        name: float(array.item())
+        for name, array in arrays.items()
+        if array.size == 1 and array.dtype.kind in "iuf"
     }
-    return ArraysTable(path, distinct(columns, path), {}, rate_of(scalars, path))
+    return ArraysTable(path, distinct(columns, path), {}, rate_of(scalars, path, {}))

@@ -6,6 +6,7 @@ depends on it. A signature inside the XML is not verified.
 
 from __future__ import annotations
 
+import calendar
 import csv
 import datetime
 import hashlib
@@ -218,8 +219,9 @@ def _after(day: datetime.date, period: str) -> datetime.date:
     years, months, days = (int(part or 0) for part in match.groups())
     month = day.year * 12 + day.month - 1 + 12 * years + months
     try:
-        start = datetime.date(month // 12, month % 12 + 1, 1)
-        return start + datetime.timedelta(days=day.day - 1 + days)
+        # A month ends with its last day: 31 January and a month is 28 February.
+        last = calendar.monthrange(month // 12, month % 12 + 1)[1]
+        return datetime.date(month // 12, month % 12 + 1, min(day.day, last)) + datetime.timedelta(days)
     except (ValueError, OverflowError):
         raise UnitError(f"the period '{period}' is too long") from None
 
@@ -232,7 +234,6 @@ def _serials(items: ET.Element) -> Iterator[str]:
 
 
 def _quantities(results: ET.Element) -> Iterator[CertifiedQuantity]:
-    """The quantities of all results, each list of quantities as a table; not those inside as metadata."""
     table = 0
     for result in results.iterfind(f"{DCC}measurementResult/{DCC}results/{DCC}result"):
         pending = [_only(result, "data")]

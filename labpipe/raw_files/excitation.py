@@ -69,11 +69,9 @@ def design_multisine(
     seed: int = 0,
 ) -> Multisine:
     """A multisine with lines every *spacing* [Hz] in *band* [Hz]; ConfigError for an empty band or unknown
-    phases.
-
-    *odd_only* keeps the odd multiples of the spacing: even lines then show even distortion. *leave_out*
-    removes one line, drawn with *seed*, from every group of that many: these show odd distortion (Pintelon
-    and Schoukens, System Identification, sec. 4.3.2).
+    phases. *odd_only* keeps the odd multiples of the spacing: even lines then show even distortion.
+    *leave_out* removes one line, drawn with *seed*, from every group of that many: these show odd distortion
+    (Pintelon and Schoukens, System Identification, sec. 4.3.2).
     """
     if leave_out == 1 or leave_out < 0:
         raise ConfigError(
@@ -128,11 +126,8 @@ def random_phases(lines: IntArray, seed: int = 0) -> FloatArray:
 
 def optimised_phases(lines: IntArray, seed: int = 0) -> FloatArray:  # noqa: ARG001
     """Phases of low crest factor, (n_line,) [rad], by alternate clipping (Van der Ouderaa, Schoukens and
-    Renneboog 1988).
-
-    From Schroeder's phases each step clips the peaks, keeps the phases of the clipped signal and restores the
-    amplitudes; the clipping level rises from step to step. The best step is returned, so the result is never
-    worse than the start.
+    Renneboog 1988). From Schroeder's phases each step clips the peaks, keeps the phases of the clipped
+    signal and restores the amplitudes; the clipping level rises from step to step.
     """
     n_sample = OVERSAMPLING * int(lines[-1]) * 2
     phases = schroeder_phases(lines)
@@ -222,7 +217,6 @@ def _fade(place: FloatArray) -> FloatArray:
     return np.asarray(np.sin(np.pi / 2 * edge) ** 2)
 
 
-# The peak of a sum of sines is taken between this many samples per period of the highest line.
 STATED = 192
 
 

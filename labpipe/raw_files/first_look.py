@@ -50,9 +50,7 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
 
 
 def find_period(signal: FloatArray) -> int:
-    """The period of a signal (n_sample,) [any unit] in samples, at least two of them in it; 0 for none. A lag
-    L counts when the correlation of x[n] and x[n + L] exceeds ALIKE and is a local maximum.
-    """
+    """The period of a signal (n_sample,) [any unit] in samples, at least two of them in it; 0 for none."""
     n = signal.size
     if n < 8 or not np.any(signal):
         return 0
@@ -119,14 +117,11 @@ def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
 
 
 STRETCHES = 1024
-# Samples of one block of the spectrum.
 BLOCK = 4096
 
 
 class EnvelopeTrack:
-    """Minima and maxima over intervals of equal length. Pairs of intervals are merged when there are too
-    many.
-    """
+    """Minima and maxima over intervals of equal length."""
 
     def __init__(self, n_channel: int, stretches: int = STRETCHES) -> None:
         self._most = stretches + stretches % 2

@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.artefacts.writing import cell
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import UnitError, may_agree, parse_value
 from labpipe.raw_files.table import check_columns
 from labpipe.raw_files.text_table import CsvTable, open_text
 from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
@@ -38,6 +38,8 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
         raise DataError(what, path, "for example 'x/f:re', 'x/f:im'")
     outputs = tuple(dict.fromkeys(match["output"] for match in pairs))
     inputs = tuple(dict.fromkeys(match["input"] for match in pairs))
+    form, dofs = _notes(path)
+    _check_units(table, form)
     required = [f"{o}/{i}:{part}" for o in outputs for i in inputs for part in ("re", "im")]
     check_columns(table, [*required, *(match[0] for match in pairs)])
     columns = dict(zip(table.columns, np.concatenate(list(table.chunks(table.columns))).T, strict=True))
@@ -50,7 +52,6 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
     variance = part("var")
     if variance is not None and np.any(variance < 0):
         raise DataError(f"holds the negative variance {variance.min():g}", path)
-    form, dofs = _notes(path)
 
     def ports(side: str, labels: Iterable[str]) -> tuple[Port, ...]:
         named = ((label, port_of(dofs.get((side, label), label))) for label in labels)
@@ -66,6 +67,17 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
         coherence=checked_coherence(part("coh"), path),
         name=name,
     )
+
+
+def _check_units(table: CsvTable, form: str) -> None:
+    for name, stated in table.units.items():
+        column = _COLUMN.match(name)
+        of_element = FORMS[form] if column and column["part"] in ("re", "im") and form != "other" else stated
+        needed = "Hz" if name == FREQUENCY else of_element
+        if not may_agree(stated, needed):
+            what = f"column '{name}' is in {stated} by the file's own header, {needed} is needed"
+            hint = "describe it in the entry: {file: FILE, columns: {...}, unit: ...}"
+            raise DataError(what, table.path, hint)
 
 
 def checked_coherence(values: Any, where: Path | str) -> Any:

@@ -368,10 +368,10 @@ def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfL
 
 
 def _check_phase(source: DescribedColumns, column: str, part: str) -> None:
-    stated = source.unit(column)
-    if stated in ("deg", "°", "rad") and (stated == "rad") != (part == "phase_rad"):
+    stated, needed = source.unit(column), part.removeprefix("phase_")
+    if stated and parse_unit(stated).dimension != NONE and not may_agree(stated, needed):
         what = f"{source.word} '{column}' is in {stated} by the file's own header"
-        raise DataError(what, source.path, f"write {'phase_rad' if stated == 'rad' else 'phase_deg'}")
+        raise DataError(what, source.path, "write phase_deg or phase_rad, as the file has it")
 
 
 def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) -> FloatArray:

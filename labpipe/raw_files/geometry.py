@@ -21,7 +21,6 @@ from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
 
 NODES, DOUBLE_NODES, TRACE, ELEMENTS, UNITS = 15, 2411, 82, 2412, 164
-# Label, two coordinate systems, colour, x, y, z.
 _NODE_WORDS = 7
 # Elements of two nodes whose nodes stand on a third line (rods and beams).
 _BEAMS = (11, 21, 22, 23, 24)
@@ -63,7 +62,6 @@ def read_geometry_uff(path: Path) -> Geometry:
 
 
 def _datasets(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """(number, lines) of every dataset of text; datasets of binary numbers are passed over."""
     text = path.read_bytes().decode("latin-1")
     for block in re.split(r"^[ \t]*-1[ \t]*\r?$", text, flags=re.MULTILINE)[1::2]:
         lines = [line for line in block.splitlines() if line.strip()]

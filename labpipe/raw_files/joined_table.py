@@ -23,9 +23,9 @@ BESIDE = 0.1
 
 
 class JoinedTable:
-    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all but
-    the first. With *time*, the name of their common time column, rows are those of equal times; without, row
-    1 stands beside row 1. What some files lack is cut, and `findings` says so once the table has been read.
+    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all
+    but the first. With *time*, the name of their common time column, rows are those of equal times;
+    without, row 1 stands beside row 1.
     """
 
     def __init__(self, tables: Sequence[Table], time: str | None) -> None:
@@ -210,7 +210,6 @@ class ResampledTable:
 
 
 def _time_of(table: Table) -> str:
-    """The time column of a table without a rate: its first, '' where the table states the rate."""
     return "" if table.sample_rate is not None else table.columns[0]
 
 

@@ -19,6 +19,8 @@ from labpipe.raw_files.text_table import open_text
 END = "***End_of_Header***"
 X_VALUE = "X_Value"
 CHUNK_ROWS = 1 << 14
+# Share of a step by which channels may begin apart, and the rate [Hz] whose step that is beside X values.
+BESIDE, UNSTATED = 0.1, 1e5
 # LabVIEW's own words for units; others are written as they are.
 # LabVIEW's spectral measurements name their channels so, and write "Time" as the dimension of X all the same.
 SPECTRUM = re.compile(r"\((FFT\b|FRF\b|(power|amplitude|cross) spectr)", re.IGNORECASE)
@@ -43,9 +45,9 @@ class LvmHeader:
     sample_rate: float | None
     first_line: int
     spectrum: bool
+    starts: tuple[float, ...]
     rates: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()
-    starts: tuple[float, ...] = ()
 
 
 class LvmTable:
@@ -60,7 +62,7 @@ class LvmTable:
         header = self._header = self._read_header()
         names = unique([header.titles[place] for place in header.used])
         places = dict(zip(names, header.used, strict=True))
-        self.sample_rate, self._count, self.start = header.sample_rate, 0, 0.0
+        self.sample_rate, self._count = header.sample_rate, 0
         self.unused: dict[str, int] = {}
         if header.rates:
             rate_of = dict(zip(header.used, header.rates, strict=True))
@@ -68,8 +70,12 @@ class LvmTable:
             slower = {name: place for name, place in places.items() if rate_of[place] != self.sample_rate}
             self.unused = {name: header.counts[place] for name, place in slower.items()}
             places = {name: place for name, place in places.items() if name not in slower}
-            first = next(iter(places.values()))
-            self._count, self.start = header.counts[first], header.starts[first]
+            self._count = header.counts[next(iter(places.values()))]
+        starts = [header.starts[place] for place in places.values() if header.titles[place] != X_VALUE]
+        if not header.spectrum and np.ptp(starts) > BESIDE / (self.sample_rate or UNSTATED):
+            what = f"its channels begin up to {np.ptp(starts):g} s apart (X0)"
+            raise DataError(what, path, "write channels that begin together")
+        self.start = starts[0] if header.rates else 0.0
         self._places, self.columns = places, tuple(places)
         self.units = {
             name: unit for name, place in self._places.items() if (unit := self._header.units[place])
@@ -184,16 +190,21 @@ def _header(
     )
     texts = [padded["Delta_X"][place] for place in channels]
     header = partial(
-        LvmHeader, delimiter, decimal, tuple(titles), tuple(units), first_line=first_line, spectrum=spectrum
+        LvmHeader,
+        delimiter,
+        decimal,
+        tuple(titles),
+        tuple(units),
+        first_line=first_line,
+        spectrum=spectrum,
+        starts=tuple(_seconds(text, decimal) for text in padded["X0"]),
     )
     if len(set(texts)) > 1 and not spectrum:
         # Every channel has X values of its own, or none: its step says the same.
         rates = tuple(_rate([text], decimal, path) or 0.0 for text in texts)
         if all(0 < rate < float("inf") for rate in rates) and len(set(rates)) > 1:
             counts = tuple(int(text) if text.isdigit() else 0 for text in padded["Samples"])
-            starts = tuple(_seconds(text, decimal) for text in padded["X0"])
-            header = partial(header, rates=rates, counts=counts, starts=starts)
-            return header(used=tuple(channels), sample_rate=None)
+            return header(used=tuple(channels), sample_rate=None, rates=rates, counts=counts)
     rate = None if with_x or spectrum else _rate(texts, decimal, path)
     return header(used=tuple(used), sample_rate=rate)
 

@@ -28,9 +28,7 @@ from labpipe.raw_files.text_table import check_filled, reading
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 
-# Elements of an HDF5 file read at once.
 PART = 1 << 20
-# Variables of a response.
 _OPTIONAL = ("covariance", "coherence")
 _MARKS = ("frequency_hz", "H", "form")
 _PORTS = tuple(f"{side}{part}" for side in ("output", "input") for part in ("s", "_dofs", "_angles_rad"))
@@ -58,9 +56,8 @@ def _touch(_: str, item: object) -> None:
 
 
 def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
-    """The variables of these names, arrays in MATLAB's order of dimensions, texts as arrays of str. MATLAB
-    stores columns first, a complex number as (real, imag), a text as UTF-16 codes, a cell as references.
-    Links into other files are not followed. DataError for a damaged file.
+    """The variables of these names, arrays in MATLAB's order of dimensions, texts as arrays of str. Links
+    into other files are not followed. DataError for a damaged file.
     """
     check_hdf5(path)
     with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
@@ -80,16 +77,6 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
     with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
         file.visititems(add)
     return tuple(names)
-
-
-def has_hdf5_variables(path: Path, names: Iterable[str]) -> bool:
-    """True if a readable HDF5 file holds data sets of all these names."""
-    check_hdf5(path)
-    try:
-        with h5py.File(path, "r") as file:
-            return all(isinstance(file.get(name), h5py.Dataset) for name in names)
-    except (OSError, RuntimeError, KeyError):
-        return False
 
 
 def _value(file: h5py.File, item: h5py.Dataset) -> Any:
@@ -123,7 +110,7 @@ _FLAGS, _DIMENSIONS = 6, 5
 
 def check_elements(path: Path) -> None:
     """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
-    size; zlib.error for a wrong checksum. Versions 4 and 7.3 are checked by their readers.
+    size; zlib.error for a wrong checksum.
     """
     content = path.read_bytes()
     if 0 not in content[:4]:
@@ -209,24 +196,21 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     """(name, array) of a variable, of the fields of a structure ("run.x"), or of each structure of an array
     or of cells ("meas.Y(2).Data", "sweep.sample{1}.realz", as in MATLAB).
     """
-    names = getattr(getattr(value, "dtype", None), "names", None)
-    if (
-        getattr(getattr(value, "dtype", None), "kind", "") == "O"
-        and not names
-        and not isinstance(value, MatlabOpaque)
-    ):
+    is_array = isinstance(value, np.ndarray) and not isinstance(value, MatlabOpaque)
+    names = value.dtype.names if is_array else None
+    boxed = []
+    if is_array and value.dtype.kind == "O":
         boxed = [(number, item) for number, item in enumerate(value.flat, 1) if hasattr(item, "dtype")]
-        if any(item.dtype.names or item.dtype.kind == "O" for _, item in boxed):
-            for number, item in boxed:
-                yield from _fields(f"{name}{{{number}}}", item)
-            return
-    if not names or isinstance(value, MatlabOpaque):
+    if names:
+        for number, element in enumerate(value.flat, 1):
+            place = name if value.size == 1 else f"{name}({number})"
+            for field in names:
+                yield from _fields(f"{place}.{field}", element[field])
+    elif any(item.dtype.names or item.dtype.kind == "O" for _, item in boxed):
+        for number, item in boxed:
+            yield from _fields(f"{name}{{{number}}}", item)
+    else:
         yield name, value
-        return
-    for number, element in enumerate(value.flat, 1):
-        place = name if value.size == 1 else f"{name}({number})"
-        for field in names:
-            yield from _fields(f"{place}.{field}", element[field])
 
 
 # The fields in which programs keep the samples of a channel beside its name and unit (dSPACE:
@@ -281,14 +265,14 @@ def mat_table(path: Path) -> ArraysTable:
     units |= {named.get(key, key): unit for key, unit in stated.items()}
     numeric = {named.get(name, name): value for name, value in arrays.items() if is_numeric(value)}
     parts = {key: columns_of(key, value) for key, value in numeric.items()}
-    scalars = {name: value.item() for name, value in numeric.items() if value.size == 1}
+    scalars = {name: float(value.item()) for name, value in numeric.items() if value.size == 1}
     signals = [part for part in signals_of(arrays) if part.axis == "s" and part.values in parts]
     labels, of_signals = labels_and_units(signals, parts)
     columns = distinct(
         ((labels.get(name, name), column) for part in parts.values() for name, column in part.items()), path
     )
     units |= {labels.get(name, name): unit for name, unit in of_signals.items()}
-    rate = rate_of(scalars | {f"{part.place}.dt": part.step for part in signals}, path)
+    rate = rate_of(scalars | {f"{part.place}.dt": part.step for part in signals}, path, units)
     texts = {name: lines for name, value in arrays.items() if (lines := lines_of(value))}
     return ArraysTable(path, columns, units, rate, texts)
 
@@ -321,7 +305,6 @@ def hdf5_table(path: Path) -> ArraysTable:
     """The data sets of an HDF5 file by name ("group/name"); units and rates also from attributes. DataError
     when it is damaged. Links into other files are not followed.
     """
-    check_filled(path)
     check_hdf5(path)
     with reading(path, "HDF5 file"):
         file = h5py.File(path, "r")
@@ -333,7 +316,8 @@ def hdf5_table(path: Path) -> ArraysTable:
         (pair for key, item in vectors.items() for pair in columns_of(key, item).items()), path
     )
     units = {name: unit for name in columns if (unit := _attribute(sets, name, _UNITS))}
-    table = ArraysTable(path, columns, units, rate_of(scalars, path), _hdf5_texts(file))
+    rate = rate_of(scalars, path, {name: _attribute(sets, name, _UNITS) for name in scalars})
+    table = ArraysTable(path, columns, units, rate, _hdf5_texts(file))
     for name in table.columns:
         if text := _attribute(sets, name, _SENSITIVITIES):
             table.sensitivities[name] = text
@@ -345,13 +329,17 @@ def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
 
     def add(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype) and item.size < MOST_TEXTS:
-            texts[name] = [
-                part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
-                for part in np.atleast_1d(item[()]).ravel()
-            ]
+            texts[name] = _decoded(item[()])
 
     file.visititems(add)
     return texts
+
+
+def _decoded(values: Any) -> list[str]:
+    return [
+        part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
+        for part in np.atleast_1d(values).ravel()
+    ]
 
 
 def _numeric_sets(file: h5py.File) -> dict[str, Any]:
@@ -383,17 +371,13 @@ def _rate_attributes(file: h5py.File, sets: dict[str, Any]) -> dict[str, float]:
 
 
 def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
-    item: Any = sets.get(name)
-    if item is None:
-        item = sets.get(name.rpartition("_")[0])
-    if item is None:
-        return ""
-    attributes = {key.lower(): key for key in item.attrs}
-    for key in keys:
-        if key in attributes:
-            value = item.attrs[attributes[key]]
-            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return ""
+    """What an attribute of a column's data set says; of several texts that of the column in its matrix."""
+    base, _, number = name.rpartition("_")
+    item = sets.get(name, sets.get(base))
+    attributes = {} if item is None else {key.lower(): value for key, value in item.attrs.items()}
+    texts = next((_decoded(attributes[key]) for key in keys if key in attributes), [])
+    place = int(number) - 1 if len(texts) > 1 and name not in sets else 0
+    return texts[place] if len(texts) == 1 or (name not in sets and place < len(texts)) else ""
 
 
 def write_frf_mat(path: Path, response: FrequencyResponse) -> None:
@@ -424,9 +408,14 @@ def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
 
 def holds_response(path: Path) -> bool:
     """True if a readable MATLAB or HDF5 file holds a response."""
-    if is_hdf5(path):
-        return has_hdf5_variables(path, _MARKS)
-    return set(_MARKS) <= load_variables(path).keys()
+    if not is_hdf5(path):
+        return set(_MARKS) <= load_variables(path).keys()
+    check_hdf5(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return all(isinstance(file.get(name), h5py.Dataset) for name in _MARKS)
+    except (OSError, RuntimeError, KeyError):
+        return False
 
 
 def read_frf_mat(path: Path, name: str = "") -> FrequencyResponse:
@@ -470,8 +459,8 @@ def _shape(variables: dict[str, Any], key: str, shape: tuple[int, ...], path: Pa
 
 
 def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]:
-    labels = _texts(variables[f"{side}s"])
-    dofs = _texts(variables.get(f"{side}_dofs", variables[f"{side}s"]))
+    labels = lines_of(variables[f"{side}s"])
+    dofs = lines_of(variables.get(f"{side}_dofs", variables[f"{side}s"]))
     angles = np.asarray(variables.get(f"{side}_angles_rad", np.full(len(labels), np.nan)), float).ravel()
     if not labels or not len(labels) == len(dofs) == angles.size:
         raise DataError(f"{side}s, {side}_dofs and {side}_angles_rad differ in length", path)
@@ -479,13 +468,6 @@ def _ports(variables: dict[str, Any], side: str, path: Path) -> tuple[Port, ...]
     return tuple(
         Port(label, label, dof, None if math.isnan(angle) else float(angle)) for label, dof, angle in ports
     )
-
-
-def _texts(cells: Any) -> list[str]:
-    return [
-        text_of(np.array(cell) if isinstance(cell, str) else cell).strip()
-        for cell in np.asarray(cells).ravel()
-    ]
 
 
 def write_recording_mat(path: Path, recording: Recording) -> None:

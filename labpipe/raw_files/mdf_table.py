@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import check_in_child, check_names, load_extra, unique
-from labpipe.raw_files.text_table import check_filled, not_readable
+from labpipe.raw_files.text_table import not_readable
 
 CHUNK_ROWS = 1 << 17
 TIME = "time [s]"
@@ -28,10 +28,9 @@ MOST_SQUEEZED = 1 << 16
 
 
 def mdf_table(path: Path) -> MdfTable:
-    """The table of a file that a child process has looked at: places beyond a sample make the library
-    crash.
+    """The table of a file that a child process has looked at: places beyond a sample make the
+    library crash.
     """
-    check_filled(path)
     load_extra("asammdf", "mdf", path)
     check_in_child(path, "MDF", touch)
     return MdfTable(path)
@@ -177,14 +176,19 @@ class MdfTable:
     def _chunk(self, file: Any, columns: Sequence[str], start: int, count: int) -> FloatArray:
         part = {"record_offset": start, "record_count": count}
         times = file.get_master(self._group, **part)
-        signals = [
-            times if name == TIME else file.get(group=self._group, index=self._places[name], **part).samples
-            for name in columns
+        columns_read = [
+            times if name == TIME else self._valid(file, self._places[name], part) for name in columns
         ]
         if len(times) != count:
             what = f"ends within its {self._length} samples"
             raise DataError(what, self.path, "the file is cut off or damaged")
-        return np.column_stack([np.asarray(signal, np.float64) for signal in signals])
+        return np.column_stack(columns_read)
+
+    def _valid(self, file: Any, index: int, part: dict[str, int]) -> FloatArray:
+        """Samples (n,) [unit of the file], NaN where the file marks them as invalid."""
+        signal = file.get(group=self._group, index=index, ignore_invalidation_bits=True, **part)
+        invalid = False if signal.invalidation_bits is None else np.asarray(signal.invalidation_bits, bool)
+        return np.where(invalid, np.nan, np.asarray(signal.samples, np.float64))
 
 
 @contextmanager

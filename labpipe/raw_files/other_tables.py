@@ -20,7 +20,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import batches, numpy_array, open_parquet
 from labpipe.errors import DataError
 from labpipe.raw_files.table import load_extra
-from labpipe.raw_files.text_table import StampClock, bracketed_unit, check_filled, header_of, reading
+from labpipe.raw_files.text_table import StampClock, bracketed_unit, header_of, reading
 
 CHUNK_ROWS = 1 << 17
 # Integers of up to so many bits are exact as float64; of longer ones pyarrow refuses those that are not.
@@ -118,7 +118,6 @@ class WavTable:
 
 def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
-    check_filled(path)
     _check_length(path)
     with reading(path, "WAV file"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -189,7 +188,6 @@ class XlsxTable:
 
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
         openpyxl = load_extra("openpyxl", "excel", self.path)
-        check_filled(self.path)
         with reading(self.path, "Excel workbook"), warnings.catch_warnings():
             # Of styles and extensions that are no numbers.
             warnings.simplefilter("ignore")

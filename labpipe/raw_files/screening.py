@@ -37,9 +37,7 @@ class EndValues:
         self._values, self._counts = np.empty(0), np.empty(0, np.int64)
 
     def reaches(self, extreme: float) -> bool:
-        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted. A run ends
-        where it has none.
-        """
+        """Whether a block whose numbers times the sign go up to *extreme* has any to be counted."""
         if self._values.size <= NEXT_VALUES or extreme >= self._reached:
             return True
         self._open = 0
@@ -161,7 +159,6 @@ COARSE = 0.1
 LEAST = 0.75
 # No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
 FASTEST = 1e12
-# Samples of which the sums are made at once.
 IN_CACHE = 1 << 13
 # Times with more significant digits are exact enough.
 MOST_DIGITS = 9

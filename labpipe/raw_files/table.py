@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError, LabpipeError, cut
 from labpipe.quantities import NONE, UnitError, parse_unit
-from labpipe.raw_files.text_table import plain_suffix
+from labpipe.raw_files.text_table import check_filled, plain_suffix
 from labpipe.registry import Registry, nearest
 
 
@@ -43,9 +43,7 @@ Read = TypeVar("Read")
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """DataError for every exception of a library inside the block. Faults of the machine keep their own
-    words.
-    """
+    """DataError for every exception of a library inside the block."""
     try:
         # Numbers out of range are refused by the screening, with channel and sample.
         with np.errstate(all="ignore"):
@@ -217,6 +215,7 @@ def open_table(path: Path) -> Table:
         )
     if not path.is_file():
         raise DataError("is no regular file", path)
+    check_filled(path)
     table: Table = GuardedTable(guard(READERS.load(suffix), path))
     return table
 
@@ -261,7 +260,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
         count, unused = table.columns.count(name), getattr(table, "unused", {})
         if count == 0 and name in unused:
             if getattr(table, "others", None):
-                what = f"'{name}' has another rate than the others"
+                what = f"'{name}' lies in another group than the others, or has another rate"
                 hint = "resample: RATE in the rig file brings all to one rate"
             else:
                 what = f"'{name}' has {unused[name]} values, fewer than the others"

@@ -14,7 +14,7 @@ from nptdms.log import log_manager
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files.table import check_names, unique
-from labpipe.raw_files.text_table import check_filled, reading
+from labpipe.raw_files.text_table import reading
 
 CHUNK_ROWS = 1 << 17
 _UNITS = ("unit_string", "NI_UnitDescription", "unit")
@@ -27,6 +27,8 @@ _SENSITIVITY_UNITS = (
 )
 # Relative difference of rates that are one, and of a rate from a whole number of hertz.
 _SAME = 1e-6
+# Share of a step by which channels may begin apart.
+BESIDE = 0.1
 
 
 class TdmsTable:
@@ -38,7 +40,6 @@ class TdmsTable:
         self.path = path
         # Suppresses npTDMS's log of a damaged file: there is one error message.
         log_manager.set_level(logging.ERROR)
-        check_filled(path)
         with reading(path, "TDMS file"), path.open("rb") as stream, TdmsFile.open(stream) as file:
             if file.file_status.incomplete_final_segment:
                 hint = "the logger was interrupted, or the copy is incomplete"
@@ -117,7 +118,6 @@ def growing_rows(
     except DataError:
         raise
     except Exception:
-        # Between two writes.
         return np.empty((0, len(columns))), None
 
 
@@ -143,17 +143,22 @@ def _sensitivity(channel: Any) -> str:
 
 
 def _rate(channels: list[Any], path: Path) -> float | None:
-    steps = {
-        channel.name: float(channel.properties["wf_increment"])
-        for channel in channels
-        if channel.properties.get("wf_increment")
-    }
-    if not steps:
+    waveforms = [channel.properties for channel in channels if channel.properties.get("wf_increment")]
+    # Of a spectrum the step is one of frequency.
+    if not waveforms or any(waveform.get("wf_xunit_string") == "Hz" for waveform in waveforms):
         return None
-    low, high = min(steps.values()), max(steps.values())
+    steps = [float(waveform["wf_increment"]) for waveform in waveforms]
+    low, high = min(steps), max(steps)
     if low <= 0 or high > low * (1 + _SAME):
         raise DataError(
             f"its channels have time steps from {low:g} s to {high:g} s", path, "one rate is required"
         )
+    # A channel that does not say when it begins is taken to begin with the others.
+    times = [np.datetime64(w["wf_start_time"]) for w in waveforms if "wf_start_time" in w]
+    apart = np.ptp([float(w.get("wf_start_offset") or 0) for w in waveforms])
+    apart += (max(times) - min(times)) / np.timedelta64(1, "s") if times else 0.0
+    if apart > BESIDE * low:
+        what = f"its channels begin up to {apart:g} s apart (wf_start_time, wf_start_offset)"
+        raise DataError(what, path, "export channels that begin together")
     rate = 1 / low
     return float(round(rate)) if abs(round(rate) / rate - 1) < _SAME else rate

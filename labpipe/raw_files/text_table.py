@@ -164,7 +164,6 @@ class StampClock:
 HEAD_BYTES = 1 << 18
 # Lines analysed from either end of the head; no header is longer.
 SAMPLE_LINES = 200
-# Blanks: any number of them stands between two fields.
 BLANKS = " "
 DELIMITERS = ("\t", ";", ",", "|", BLANKS)
 MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))
@@ -269,7 +268,7 @@ class _Candidate:
 
 def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers. *number*
-    knows what a number is. Columns of text may stand beside those of numbers.
+    knows what a number is.
     """
     encoding, lines = _head(path)
     sample = [n for n in _sample(len(lines)) if lines[n].strip()]
@@ -291,7 +290,6 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
 def _best_candidate(
     lines: list[str], sample: list[int], number: IsNumber, rows_of: Callable[..., _Candidate]
 ) -> _Candidate | None:
-    """The best way to take the lines apart; None without a row."""
     # One of the delimiters that no line has stands for all of them: a line is one field.
     present = [d for d in DELIMITERS if d == BLANKS or any(d in lines[n] for n in sample)]
     absent = [d for d in DELIMITERS if d not in present][:1]

@@ -202,7 +202,6 @@ def _is_even_as_printed(abscissa: FloatArray) -> bool:
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:
     """The units and all *sets* in a new file, each written alone: pyuff reads all again after every set."""
-    # Needed for this alone.
     import pyuff
 
     with TemporaryDirectory() as folder, path.open("wb") as target, warnings.catch_warnings():

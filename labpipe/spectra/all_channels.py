@@ -36,7 +36,6 @@ from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
 # Degrees of freedom below which the loss of efficiency exceeds a tenth.
 ENOUGH_DOF = 13.0
-# Degrees of freedom beyond which more of them would gain less than a twentieth.
 PLENTY_DOF = 60.0
 
 
@@ -44,9 +43,7 @@ def periodic_lines(
     sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout
 ) -> MeasuredLines:
     """The averages over periods of every recording, one run each, at the lines where any force acts in any of
-    them.
-
-    DataError for a single period, and where no force exceeds its noise.
+    them. DataError for a single period, and where no force exceeds its noise.
     """
     both = [_average(source, settings, layout, number) for number, source in enumerate(sources)]
     averaged = [spectrum for spectrum, _ in both]
@@ -103,15 +100,14 @@ def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
 
 def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
     """The spectra with noise averaged over runs that share it and over lines, as many as are needed."""
-    # The noise of one period.
     single = [s.noise * s.n_period for s in spectra if s.noise is not None]
     dofs = [spectrum.dof for spectrum in spectra]
     if len(spectra) > 1 and shared_noise(single, dofs):
-        dof = sum(dofs)
-        pooled = np.tensordot(dofs, single, axes=1) / dof
-        # Zero where one of two channels was not recorded.
-        there = [np.any(np.einsum("lcc->lc", noise).real > 0, axis=0) for noise in single]
-        single = [pooled * np.outer(channels, channels) for channels in there]
+        there = np.array([np.any(np.einsum("lcc->lc", noise).real > 0, axis=0) for noise in single])
+        # A run that lacks a channel holds zeros for its noise.
+        weights = np.all(there[:, None] == there, axis=2) * np.array(dofs)
+        single = [np.tensordot(of_run, single, axes=1) / of_run.sum() for of_run in weights]
+        dof = float(weights.sum(axis=1).min())
     else:
         dof = min(dofs)
     # Noise that the loop shapes is not the same on lines far apart: no more of them than weights need.
@@ -129,12 +125,9 @@ def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
 
 
 def shared_noise(noises: Sequence[ComplexArray], dofs: Sequence[float]) -> bool:
-    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs* of
-    each.
-
-    The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and variance of the
-    logarithm of an F-distributed number. A channel without noise in one of two runs is not in that run.
-    Equation (spec-pooled-runs).
+    """Whether runs have the same noise: *noises* (n_line, n_channel, n_channel) [SI] of one period, *dofs*
+    of each. The mean over lines of log(S_1 / S_2) of every channel has, for equal noise, the mean and
+    variance of the logarithm of an F-distributed number. Equation (spec-pooled-runs).
     """
     powers = [np.einsum("lcc->lc", noise).real for noise in noises]
     for power, dof in zip(powers[1:], dofs[1:], strict=True):
@@ -162,11 +155,9 @@ def channel_spectra(
     name: str = "",
     conditions: dict[str, Any] | None = None,
 ) -> ChannelSpectra:
-    """The complex amplitudes of all channels of a test, run by run, with their covariance.
-
-    A run is a recording of periodic excitation, or the part of random ones due to a drive. A line stays where
-    any force acts in any run. DataError for recordings that do not fit together, are too short, hold NaN or
-    no force, ConfigError for an excitation other than periodic and random.
+    """The complex amplitudes of all channels of a test, run by run, with their covariance. A line stays
+    where any force acts in any run. DataError for recordings that do not fit together, are too short, hold
+    NaN or no force, ConfigError for an excitation other than periodic and random.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:

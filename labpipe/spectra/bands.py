@@ -50,10 +50,8 @@ def line_range(
     n_sample: int, sample_rate: float, band: tuple[float, float] | None, length: int | None = None
 ) -> slice:
     """Range of DFT lines of *n_sample* samples at *sample_rate* [Hz] inside the band, without the line at 0
-    Hz.
-
-    Cross-spectra are formed on these lines only. DataError when the band holds no line, and for a long period
-    of which the recording of *length* samples does not hold one: before anything of its size is made.
+    Hz. DataError when the band holds no line, and for a long period of which the recording of *length*
+    samples does not hold one: before anything of its size is made.
     """
     if length is not None and n_sample > max(length, MANY_SAMPLES):
         what = (

@@ -68,11 +68,9 @@ def sum_errors(
     estimate: Estimate,
 ) -> tuple[MatrixError, ...]:
     """The errors of the FRF matrix by every source in its sums; none where no number in them has an
-    uncertainty.
-
-    response: frequency (n_line,) [Hz] and matrix (n_line, n_output, n_input) [unit of the form]. *estimate*
-    measures the responses of the members to the same forces, in a second pass. Raises as that does. Equation
-    (unc-sum).
+    uncertainty. response: frequency (n_line,) [Hz] and matrix (n_line, n_output, n_input) [unit of the form].
+    *estimate* measures the responses of the members to the same forces, in a second pass. Raises as that
+    does. Equation (unc-sum).
     """
     of_outputs, of_inputs = (
         list(_effects(sensors, sources)) for sensors in (layout.output_sensors, layout.input_sensors)
@@ -141,7 +139,6 @@ def _member_rows(
     n_line: int,
     estimate: Estimate,
 ) -> dict[str, ComplexArray]:
-    """Response (n_line, n_input) [SI] of every member; of a force to itself 1."""
     names = [sensor.name for sensor in layout.input_sensors]
     unit = np.eye(len(names), dtype=np.complex128)
     rows = {
@@ -171,7 +168,6 @@ def _member_rows(
 @dataclass(frozen=True)
 class ChannelLayout:
     """*recorded*: channels whose lines are measured, sums left out; *channels*: those, then the sums.
-
     columns: per recording the column of every recorded channel, or -1 where a force does not act in it.
     """
 
@@ -186,10 +182,8 @@ class ChannelLayout:
 
     def transform(self, frequency: FloatArray) -> ComplexArray:
         """T (n_line, n_channel, n_recorded) [SI] at *frequency* (n_line,) [Hz]: the vector of all channels is
-        T times the measured one.
-
-        Every recorded channel is divided by its sensor's response, then the sums are made. DataError outside
-        a sensor's table.
+        T times the measured one. Every recorded channel is divided by its sensor's response, then the sums
+        are made. DataError outside a sensor's table.
         """
         response = np.column_stack([sensor_response(channel, frequency) for channel in self.recorded])
         return np.asarray(self.sums[None, :, :] / response[:, None, :])
@@ -234,9 +228,8 @@ class ChannelLayout:
 
 def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
     """The channels of recordings side by side: forces, responses, and references that stand in sums; tacho
-    and drives are left out.
-
-    DataError for a recording without a force, or without a channel other than a force that another one has.
+    and drives are left out. DataError for a recording without a force, or without a channel other than a
+    force that another one has.
     """
     chosen = [_choose(source) for source in sources]
     distinct = list(dict.fromkeys(channel for members in chosen for channel in members))

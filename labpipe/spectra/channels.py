@@ -40,9 +40,8 @@ def columns_of(channels: Sequence[Channel], role: str) -> list[int]:
 
 
 def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
-    """The recording's blocks (n, n_channel) [unit of the channel].
-
-    DataError at the first sample that is no number, and at the end for a force that does not vary.
+    """The recording's blocks (n, n_channel) [unit of the channel]. DataError at the first sample that is no
+    number, and at the end for a force that does not vary.
     """
     start = 0
     silent: dict[int, float] = {}
@@ -51,7 +50,7 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
         with np.errstate(over="ignore", invalid="ignore"):
             total = block.sum()
         if not np.isfinite(total):
-            _refuse_missing(source, block, start)
+            refuse_missing(source, block, range(block.shape[1]), start)
         if start == 0:
             silent = {column: block[0, column] for column in columns_of(source.channels, "input")}
         silent = {column: level for column, level in silent.items() if np.all(block[:, column] == level)}
@@ -62,7 +61,10 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
         raise DataError(what, hint="is the sensor connected?")
 
 
-def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None:
+def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[int], start: int = 0) -> None:
+    """DataError at the first sample that is no number of a *block* (n, n_column) [unit of the channel] from
+    sample *start* on.
+    """
     missing = np.argwhere(~np.isfinite(block))
     if not missing.size:
         return
@@ -70,22 +72,18 @@ def _refuse_missing(source: SampleSource, block: FloatArray, start: int) -> None
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
     hint = "labpipe does not fill gaps; cut the recording there or record it again"
     raise DataError(
-        f"channel '{source.channels[column].name}' of '{source.name}' has no number at {where}", hint=hint
+        f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}",
+        hint=hint,
     )
 
-
-# What the uncertainties of channels' calibrations do to the vector of all channels: errors of gain, delay,
-# phase and direction.
 
 FORCE = "force"
 
 
 def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> tuple[UncertainFactor, ...]:
     """One factor for each uncertainty of a recorded channel; numbers of one source have one name, and so one
-    error.
-
-    channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI units]: sums
-    from recorded channels.
+    error. channels: all of the vector, the recorded ones first; *combined* (n_channel, n_recorded) [SI
+    units]: sums from recorded channels.
     """
     factors = []
     for number, channel in enumerate(channels[: combined.shape[1]]):
@@ -101,7 +99,6 @@ def calibration_factors(channels: Sequence[Channel], combined: ComplexArray) -> 
 def _derivative(
     channels: Sequence[Channel], combined: ComplexArray, number: int, uncertainty: ChannelUncertainty
 ) -> tuple[ComplexArray, int]:
-    """The change of the vector per unit of the error, and the power of w that goes with it."""
     n_channel, n_recorded = combined.shape
     if uncertainty.effect == "direction":
         change = np.zeros((n_recorded, n_channel), np.complex128)
@@ -114,11 +111,9 @@ def _derivative(
 
 def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     """Change (n, n) [1/rad] of all recorded *channels* by all of them, where the angle of one is written too
-    large; zero where not known.
-
-    Needed is the one other channel of its quantity in a known direction. A sensor at theta + d reads X(theta)
-    + d X(theta + 90 deg). Forces f_j along n_j add up: f_j along n_j + d m_j, m_j at right angles, is f_j m_j
-    d more, in components along all n.
+    large; zero where not known. Needed is the one other channel of its quantity in a known direction. A
+    sensor at theta + d reads X(theta) + d X(theta + 90 deg). Forces f_j along n_j add up: f_j along n_j + d
+    m_j, m_j at right angles, is f_j m_j d more, in components along all n.
     """
     change = np.zeros((len(channels), len(channels)))
     angles_of = [AXIS_ANGLES.get(c.dof) if c.angle is None else c.angle for c in channels]
@@ -142,14 +137,9 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     return change
 
 
-# Channels that are late, and sums of channels: where a sum in time holds, and its uncertain numbers.
-
-
 class InTime(DerivedRecording):
     """A recording with its channels moved forward by the whole samples of their delays; satisfies
-    SampleSource.
-
-    A block then holds a response together with its force. What is left of a delay stays that of the channel.
+    SampleSource. What is left of a delay stays that of the channel.
     """
 
     def __init__(self, source: SampleSource) -> None:

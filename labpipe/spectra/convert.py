@@ -15,13 +15,11 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.matrices import hermitian, without_rounding
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
-# Motion over motion of a base.
 TRANSMISSIBILITY = "transmissibility"
 
 
 def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
     """Factor (j w)^n from receptance to *form*, (n_frequency,) [1/s^n], at *frequency* (n_frequency,) [Hz].
-
     ConfigError for a form other than receptance, mobility and accelerance.
     """
     if form not in DERIVATIVES:
@@ -56,10 +54,8 @@ class FormView:
 
 def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
     """The response as *form*: H' = (j w)^n H, cov' = w^2n cov, n time derivatives between the two forms.
-
-    Coherence and signal-to-noise ratio do not change. Raises ConfigError for a form other than receptance,
-    mobility and accelerance, DataError for a line at 0 Hz that would have to be integrated. Equation
-    (frf-form).
+    Raises ConfigError for a form other than receptance, mobility and accelerance, DataError for a line at 0
+    Hz that would have to be integrated. Equation (frf-form).
     """
     order = DERIVATIVES.get(form, 0) - DERIVATIVES.get(response.form, 0)
     for name in (form, response.form):
@@ -93,10 +89,9 @@ def _with_each(
 
 
 def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
-    """Z = H^-1 [N/m], the matrix inverse of the receptance, (n_frequency, n_input, n_output).
-
-    Raises DataError when there are not as many forces as outputs, or when the matrix is singular at a line.
-    Equation (frf-stiffness).
+    """Z = H^-1 [N/m], the matrix inverse of the receptance, (n_frequency, n_input, n_output). Raises
+    DataError when there are not as many forces as outputs, or when the matrix is singular at a line. Equation
+    (frf-stiffness).
     """
     n_output, n_input = response.matrix.shape[1:]
     if n_output != n_input:
@@ -111,10 +106,8 @@ def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
 
 def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | None:
     """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with
-    T = Z kron Z^T.
-
-    First order in the errors of H; None for a response without covariance. Raises as dynamic_stiffness does.
-    Equation (frf-stiffness-covariance).
+    T = Z kron Z^T. First order in the errors of H; None for a response without covariance. Raises as
+    dynamic_stiffness does. Equation (frf-stiffness-covariance).
     """
     stiffness = dynamic_stiffness(response)
     if response.covariance is None:
@@ -125,8 +118,6 @@ def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | 
     turn = np.einsum("fab,fcd->fadbc", stiffness, stiffness).reshape(-1, n * n, n * n)
     return without_rounding(turn @ covariance @ hermitian(turn))
 
-
-# Forward and backward: the directional frequency response (dFRF) of a rotor measured in two directions.
 
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
 FROM_DIRECTIONAL = np.array([[1, 1], [-1j, 1j]])
@@ -139,11 +130,9 @@ SMALLEST_ANGLE = 1e-3
 
 def directional(response: FrequencyResponse) -> FrequencyResponse:
     """The dFRF H_d = A^-1 H A = [[H_ff, H_fb], [H_bf, H_bb]], A = [[1, 1], [-j, j]], with its covariance
-    (Mendes et al.).
-
-    Rows and columns are labelled f and b. Outputs and forces may point in any two known directions each. An
-    isotropic rotor has H_fb = H_bf = 0. Coherence and distortion are dropped. DataError unless there are two
-    outputs and two forces in known, different directions. Equation (frf-directional).
+    (Mendes et al.). Outputs and forces may point in any two known directions each. Coherence and distortion
+    are dropped. DataError unless there are two outputs and two forces in known, different directions.
+    Equation (frf-directional).
     """
     to_xy = np.linalg.inv(directions(response.outputs, "responses"))
     from_xy = np.linalg.inv(directions(response.inputs, "forces").T)
@@ -167,9 +156,8 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
 
 
 def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
-    """Rows (cos, sin) of the directions of two ports, (2, 2) [1].
-
-    DataError unless there are two known directions that differ.
+    """Rows (cos, sin) of the directions of two ports, (2, 2) [1]. DataError unless there are two known
+    directions that differ.
     """
     angles = [port.angle for port in ports if port.angle is not None]
     if len(ports) != 2 or len(angles) != 2:
@@ -186,11 +174,8 @@ def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
 
 def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the
-    response].
-
-    Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis of Rotors,
-    1993). A line at 0 Hz appears twice, as -0
-    and 0. DataError for a response that is not directional. Equation (frf-two-sided).
+    response]. Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis
+    of Rotors, 1993). DataError for a response that is not directional. Equation (frf-two-sided).
     """
     labels = tuple(port.label for port in (*response.outputs, *response.inputs))
     if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):

@@ -31,7 +31,6 @@ SIGNIFICANT = 3.0
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
-# Numbers of matrices that are made together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
 
 
@@ -44,17 +43,14 @@ def covariance_of_random(
     parts: Sequence[tuple[ComplexArray, FloatArray]] = (),
 ) -> ComplexArray:
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1,
-    S_rr = [-H, I] S [-H, I]^H.
-
-    The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o / n_e, r = y - H u. One force
-    and one output give for H1 twice the variance that textbooks give for the magnitude alone (Bendat and
-    Piersol, Random Data, eq. 9.90). Exact for H1, first order in 1 / n_e for the others.
-
-    spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency,
-    n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y],
-    see random.INSTRUMENTS; *parts* that add up to the spectra, with the level (n_output,) of the noise in
-    each. The residual's spectrum is averaged over *half_width* lines to either side, where few averages alone
-    would tell little of it (pooled_residual). Equation (frf-covariance-random).
+    S_rr = [-H, I] S [-H, I]^H. The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o /
+    n_e, r = y - H u. One force and one output give for H1 twice the variance that textbooks give for the
+    magnitude alone (Bendat and Piersol, Random Data, eq. 9.90). Exact for H1, first order in 1 / n_e for the
+    others. spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response
+    (n_frequency, n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o
+    = W_o [u; y], see random.INSTRUMENTS; *parts* that add up to the spectra, with the level (n_output,) of
+    the noise in each. The residual's spectrum is averaged over *half_width* lines to either side, where few
+    averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -79,11 +75,9 @@ def covariance_of_h1(
     half_width: int = 0,
 ) -> FactoredCovariance:
     """cov(H_oi, H_pj) = S_rr[o, p] (S_uu^-1)[j, i] / (n_e - n_input): covariance_of_random with the forces as
-    instruments.
-
-    S_rr = S_yy - S_yu S_uu^-1 S_uy here. inverse_force: S_uu^-1 (n_frequency, n_input, n_input) [Hz/N^2]; the
-    result, of (n_frequency, n, n), stays in its two factors, since it is large where there are many
-    responses; the other arguments as there. Equation (frf-covariance-h1).
+    instruments. S_rr = S_yy - S_yu S_uu^-1 S_uy here. inverse_force: S_uu^-1 (n_frequency, n_input, n_input)
+    [Hz/N^2]; the result, of (n_frequency, n, n), stays in its two factors, since it is large where there are
+    many responses; the other arguments as there. Equation (frf-covariance-h1).
     """
     residual = pooled_residual(schur_complement(spectra, response.shape[2]), response, half_width)
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
@@ -93,8 +87,6 @@ def covariance_of_h1(
 def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
     """S_rr of r = y - H u, [-H, I] S [-H, I]^H, (n_frequency, n_output, n_output) [unit^2/Hz]; arguments as
     in covariance_of_random.
-
-    A few lines at a time, which stay in the cache.
     """
     n_line, n_output, n_input = response.shape
     residual = lines_last(n_line, n_output, n_output)
@@ -108,7 +100,6 @@ def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexA
 
 
 def _join(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
-    """residual[o, p] spread[o, i, p, j] as Hermitian matrices over o i and p j."""
     n_frequency, n_output = residual.shape[:2]
     n = n_output * spread.shape[2]
     covariance = lines_last(n_frequency, n, n)
@@ -125,11 +116,9 @@ def _join(residual: ComplexArray, spread: ComplexArray) -> ComplexArray:
 
 def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: int) -> ComplexArray:
     """The residual's spectrum (n_frequency, n_output, n_output) [unit^2/Hz] averaged over *half_width* lines
-    to either side.
-
-    Where what grows with the *response* (n_frequency, n_output, n_input) [unit/N] is significant, as noise of
-    the force and hits that are not alike do, lines are averaged relative to a + b |H|^2. Equation
-    (frf-pooled-residual).
+    to either side. Where what grows with the *response* (n_frequency, n_output, n_input) [unit/N] is
+    significant, as noise of the force and hits that are not alike do, lines are averaged relative to a + b
+    |H|^2. Equation (frf-pooled-residual).
     """
     if half_width == 0:
         return residual
@@ -146,9 +135,8 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
 
 def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
     """Noise of the responses where each force acts over that of all (n_output, n_input) [1], the mean over
-    the lines; 1 where they are alike within the errors of such means.
-
-    *residual* (n_line, n_output, n_input) [any unit] of *dof* (n_input,) complex degrees of freedom per line.
+    the lines; 1 where they are alike within the errors of such means. *residual* (n_line, n_output, n_input)
+    [any unit] of *dof* (n_input,) complex degrees of freedom per line.
     """
     every = np.ones(len(residual), bool)
     # Of single lines a quotient of two estimates would be too large on average.
@@ -162,10 +150,9 @@ def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
 
 
 def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: FloatArray) -> ComplexArray:
-    """cov(H_oi, H_pj) = R[o, p] sum_e sqrt(g_oe g_pe) G_e[i, j] (n_line, n, n) [unit^2 of H].
-
-    noise R (n_line, n_output, n_output) [unit^2]; spread G (n_line, n_part, n_input, n_input) [1/N^2] and
-    levels g (n_output, n_part) [1] of parts of the record, see noise_levels.
+    """cov(H_oi, H_pj) = R[o, p] sum_e sqrt(g_oe g_pe) G_e[i, j] (n_line, n, n) [unit^2 of H]. noise R
+    (n_line, n_output, n_output) [unit^2]; spread G (n_line, n_part, n_input, n_input) [1/N^2] and levels g
+    (n_output, n_part) [1] of parts of the record, see noise_levels.
     """
     size = np.sqrt(levels)
     whole = np.einsum("lop,oe,pe,leij->loipj", noise, size, size, spread, optimize=True)
@@ -192,13 +179,12 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
 
 def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:
     """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings, N = sum_e
-    (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H.
-
-    The error of the inverse takes the part h_e of the noise back, in first order, which is all where
-    recordings are as many as forces. mean (n_line, n_input + n_output, n_recording) [unit], forces first;
-    inverse (n_line, n_recording, n_input) [1/N] = U^+; noise (n_recording, n_line, n_channel, n_channel)
-    [unit^2]. Y U^+ as it is where the noise is not known, and at lines where it is more than half of the
-    forces. Equation (frf-joined).
+    (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H. The error of
+    the inverse takes the part h_e of the noise back, in first order, which is all where recordings are as
+    many as forces. mean (n_line, n_input + n_output, n_recording) [unit], forces first; inverse (n_line,
+    n_recording, n_input) [1/N] = U^+; noise (n_recording, n_line, n_channel, n_channel) [unit^2]. Y U^+ as it
+    is where the noise is not known, and at lines where it is more than half of the forces. Equation
+    (frf-joined).
     """
     n_input = inverse.shape[2]
     response = mean[:, n_input:] @ inverse
@@ -216,10 +202,9 @@ def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArr
 def covariance_of_periodic(
     response: ComplexArray, force_inverse: ComplexArray, noise: ComplexArray
 ) -> ComplexArray:
-    """cov(H_oi, H_pj) = sum_e R_e[o, p] G[e, i] G[e, j]*, R_e = [-H, I] N_e [-H, I]^H, G = pinv(U).
-
-    From H = Y G over the experiments e (one per force direction): dH = sum_e (dy_e - H du_e) G[e, :].
-    response (n_line, n_output, n_input) [unit/N]; force_inverse (n_line, n_experiment, n_input) [1/N]; noise
+    """cov(H_oi, H_pj) = sum_e R_e[o, p] G[e, i] G[e, j]*, R_e = [-H, I] N_e [-H, I]^H, G = pinv(U). From H =
+    Y G over the experiments e (one per force direction): dH = sum_e (dy_e - H du_e) G[e, :]. response
+    (n_line, n_output, n_input) [unit/N]; force_inverse (n_line, n_experiment, n_input) [1/N]; noise
     (n_experiment, n_line, n_input + n_output, n_input + n_output) [unit^2], forces first. Equation
     (frf-covariance-periodic).
     """

@@ -12,9 +12,7 @@ from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import without_rounding
 
-# Half width of the local rational fit [lines].
 HALF_WIDTH = 4
-# Elements of a matrix that are corrected together.
 ELEMENTS = 16
 # Relative differences of the spacing of lines, which files print with six digits.
 EVEN = 1e-2
@@ -23,10 +21,8 @@ EVEN = 1e-2
 @dataclass(frozen=True)
 class Undamped:
     """H(j w) from the windowed H_w(j w + s), and how an error of H_w moves it: dH(k) = sum_j gains(k, j)
-    dH_w(k + j - HALF_WIDTH).
-
-    matrix (n_frequency, n_output, n_input) [unit of H]; gains (n_frequency, 2 HALF_WIDTH + 1, n_output,
-    n_input) [1].
+    dH_w(k + j - HALF_WIDTH). matrix (n_frequency, n_output, n_input) [unit of H]; gains (n_frequency, 2
+    HALF_WIDTH + 1, n_output, n_input) [1].
     """
 
     matrix: ComplexArray
@@ -35,11 +31,9 @@ class Undamped:
 
 def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> Undamped:
     """H(j w) from the windowed H(j w + s) = *matrix*, s = 1/decay, (n_frequency, n_output, n_input) [unit of
-    H].
-
-    frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 + a1
-    x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (local rational method: McKelvey
-    and Guerin 2012), and evaluated at x = -s/dw. A single mode is exact. Fewer than 5 lines are
+    H]. frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 +
+    a1 x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (local rational method:
+    McKelvey and Guerin 2012), and evaluated at x = -s/dw. A single mode is exact. Fewer than 5 lines are
     returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1. Equation
     (frf-undamped).
     """
@@ -68,7 +62,6 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
 def _evaluate(
     flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Local fits of elements (n_line, n) at x = *shift*, and their gains (n_line, width, n)."""
     size = np.max(np.abs(flat), axis=0)
     neighbours = flat[lines] / np.where(size > 0, size, 1.0)
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
@@ -90,10 +83,8 @@ def _evaluate(
 
 def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
     """A ready response (n_frequency, n_output, n_input) [unit of the form] without the damping of a window
-    exp(-t / *decay*), *decay* [s].
-
-    Its covariance has no place: how the noise of neighbouring lines goes together is not known. DataError for
-    lines that are not evenly spaced.
+    exp(-t / *decay*), *decay* [s]. Its covariance has no place: how the noise of neighbouring lines goes
+    together is not known. DataError for lines that are not evenly spaced.
     """
     spacing = np.diff(response.frequency)
     if spacing.size and np.ptp(spacing) > EVEN * spacing.mean():
@@ -133,9 +124,8 @@ def covariance_without_damping(
 
 
 def correlation_matrix(lines: IntArray, correlation: ComplexArray) -> ComplexArray:
-    """E[z_a z_b*] (n, n) [1] of lines with the numbers *lines* (n,).
-
-    *correlation* (n_distance,) of z_(k + d) with z_k, d = 1, 2, ...
+    """E[z_a z_b*] (n, n) [1] of lines with the numbers *lines* (n,). *correlation* (n_distance,) of z_(k + d)
+    with z_k, d = 1, 2, ...
     """
     whole = np.concatenate([[1.0], correlation, np.zeros(1)])
     distance = lines[:, None] - lines[None, :]
@@ -155,16 +145,13 @@ class HalfPower:
     @property
     def damping_ratio(self) -> float:
         """zeta = (f_2^2 - f_1^2) / (4 f_0^2) (Ewins, Modal Testing, sec. 4.3); within zeta^2 of the exact
-        value for light damping.
-
-        Equation (frf-half-power).
+        value for light damping. Equation (frf-half-power).
         """
         return (self.high**2 - self.low**2) / (4 * self.frequency**2)
 
 
 def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float, float]) -> HalfPower:
     """The highest peak of |H| in *band* [Hz] and its half-power points, |H| = 1/sqrt(2) of the peak.
-
     frequency (n_frequency,) [Hz], response (n_frequency,) [any unit]. Between lines 1/|H|^2 is interpolated
     by a parabola in w^2, exact for one degree of freedom: |1/H|^2 = (k - m w^2)^2 + c^2 w^2 of a receptance.
     DataError when the band has no peak inside, |H| does not fall to half power within the lines, or the

@@ -33,9 +33,7 @@ WEIGHTED = (
 LEVEL = 1e-3
 # Chance from which a reference that is moved forward is in order: far above that of a feedback hardly seen.
 IN_ORDER = 0.05
-# Most samples of a recording that are looked at, and fewest that tell anything.
 MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
-# Fewest lines of the whole record in the excited band.
 FEWEST_LINES = 1000
 # Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the
 # nearest belong to that edge.
@@ -63,11 +61,9 @@ def feedback_of_records(
     sources: Sequence[SampleSource], reference: Sequence[str], forces: Sequence[str], responses: Sequence[str]
 ) -> tuple[Finding, ...]:
     """A warning where *responses* come before the *forces* that should make them, or before what is named as
-    the *reference*, all by their channels' names.
-
-    None for records too short, or excited in a narrow band, to tell. Only the first MOST_SAMPLES of a
-    recording are looked at. A reference that was recorded late, with which all is in order once it is moved
-    forward, is the warning `reference-lag` instead.
+    the *reference*, all by their channels' names. None for records too short, or excited in a narrow band, to
+    tell. Only the first MOST_SAMPLES of a recording are looked at. A reference that was recorded late, with
+    which all is in order once it is moved forward, is the warning `reference-lag` instead.
     """
     chances: dict[str, float] = {}
     late: dict[str, float] = {}
@@ -94,11 +90,10 @@ def feedback_of_records(
 
 def lag_of_reference(references: FloatArray, forces: FloatArray, responses: FloatArray) -> int:
     """Samples [1] by which *references* (n_sample, n_reference) [SI] were recorded later than they act; 0
-    where the order tells nothing or a lag does not explain it.
-
-    What is injected acts on the *forces* (n_sample, n_force) at once, by the sum that it is added to: the
-    highest correlation gives the lag. Moved forward by it a reference from outside comes before the forces
-    and the *responses* (n_sample, n_response); one that the loop makes does not. Equation (frf-lag).
+    where the order tells nothing or a lag does not explain it. What is injected acts on the *forces*
+    (n_sample, n_force) at once, by the sum that it is added to: the highest correlation gives the lag. Moved
+    forward by it a reference from outside comes before the forces and the *responses* (n_sample, n_response);
+    one that the loop makes does not. Equation (frf-lag).
     """
     if chance_of_order(references, forces) >= LEVEL:
         return 0
@@ -162,10 +157,8 @@ def _first_samples(source: SampleSource) -> FloatArray:
 
 def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
     """p-value [1] of the part of the impulse responses before the *forces* (n_sample, n_input) in *responses*
-    (n_sample, n_output) [SI].
-
-    For the worst of all pairs in two bands, all that is excited and what is excited most (Bonferroni); 1
-    where these tell nothing.
+    (n_sample, n_output) [SI]. For the worst of all pairs in two bands, all that is excited and what is
+    excited most (Bonferroni); 1 where these tell nothing.
     """
     n_input = forces.shape[1]
     # Lines are last in memory, as everywhere below.
@@ -295,7 +288,6 @@ def _largest_coherence(u: ComplexArray, y: ComplexArray) -> FloatArray:
 
 
 def _average(values: ComplexArray | FloatArray) -> ComplexArray:
-    """Mean over HALF_WIDTH lines to either side along axis 0, truncated at the ends."""
     rows = np.moveaxis(values, 0, -1)
     number = np.arange(rows.shape[-1])
     count = np.minimum(number, HALF_WIDTH) + np.minimum(number[::-1], HALF_WIDTH) + 1
@@ -334,9 +326,8 @@ def feedback_of_periods(
     spectra: Sequence[LineSpectrum], matrix: ComplexArray, inverse: ComplexArray, layout: Layout
 ) -> tuple[Finding, ...]:
     """A warning where what does not repeat from period to period is fed back; *spectra* at the lines of H =
-    *matrix* (n_line, n_o, n_i), responses times the *inverse* (n_line, n_run, n_i) of the forces.
-
-    In SI units [SI]; the noise of *spectra* must be that of single lines, not smoothed.
+    *matrix* (n_line, n_o, n_i), responses times the *inverse* (n_line, n_run, n_i) of the forces. In SI units
+    [SI]; the noise of *spectra* must be that of single lines, not smoothed.
     """
     chances: dict[str, float] = {}
     n_input = len(layout.inputs)
@@ -363,10 +354,8 @@ def feedback_of_periods(
 def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArray, dof: float) -> float:
     """p-value [1] that S_wu / G, w = y - G u, is real: *noise* (n_line, 2, 2) [SI] of u and y in their means,
     G = *response* (n_line,) [SI], which follows from the response by the square root of *gain* (n_line,)
-    [1/SI^2], 1 / |u|^2 of one force.
-
-    By line a t test of *dof* complex degrees of freedom, over all lines the sum of ln p (Fisher). Equation
-    (frf-feedback).
+    [1/SI^2], 1 / |u|^2 of one force. By line a t test of *dof* complex degrees of freedom, over all lines the
+    sum of ln p (Fisher). Equation (frf-feedback).
     """
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
     s_wu = s_yu - response * s_uu

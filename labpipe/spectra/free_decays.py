@@ -16,6 +16,7 @@ from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import FreeDecay, FreeDecays
+from labpipe.spectra.channels import refuse_missing
 from labpipe.spectra.ports import left_out, response_ports, source_findings
 from labpipe.spectra.settings import FrfSettings
 
@@ -55,12 +56,10 @@ def free_decays(
     name: str = "",
     conditions: dict[str, Any] | None = None,
 ) -> FreeDecays:
-    """All free decays of the recordings; inputs are not looked at.
-
-    A decay begins one period after the largest value that follows a hit or a release (or at `start`), and
-    ends at the next hit, at the end of the recording, or where it is lost in the noise (or at `end`).
-    A recording without a decay is left out by name, beside others that hold one. DataError for different
-    rates, and where nothing decays.
+    """All free decays of the recordings; inputs are not looked at. A decay begins one period after the
+    largest value that follows a hit or a release (or at `start`), and ends at the next hit, at the end of the
+    recording, or where it is lost in the noise (or at `end`). A recording without a decay is left out by
+    name, beside others that hold one. DataError for different rates, and where nothing decays.
     """
     ports, columns, channels = response_ports(sources)
     rate = sources[0].sample_rate
@@ -69,6 +68,7 @@ def free_decays(
     without: list[DataError] = []
     for source, chosen in zip(sources, columns, strict=True):
         samples = np.concatenate([block[:, list(chosen)] for block in source.blocks(BLOCK)])
+        refuse_missing(source, samples, chosen)
         try:
             spans = _spans(samples, rate, settings, source.name)
         except DataError as error:
@@ -145,10 +145,8 @@ def _period(samples: FloatArray) -> int:
 
 def _swinging(samples: FloatArray, length: int) -> FloatArray:
     """Distance (n_sample, n_output) from the mean over *length* samples before every sample or after it,
-    whichever is nearer.
-
-    A mean that reaches across a hit carries some of it to where nothing moves yet, and the hit is no jump any
-    more.
+    whichever is nearer. A mean that reaches across a hit carries some of it to where nothing moves yet, and
+    the hit is no jump any more.
     """
     rest = _rest(samples, length)
     number = np.arange(samples.shape[0])

@@ -29,7 +29,6 @@ from labpipe.spectra.windows import exponential_correlation
 CLIPPED_RUN = 3
 # Share of the double-hit level below which the contact has ended.
 ENDED = 0.5
-# Samples before a hit that tell the offset of its block.
 LEAST_BEFORE = 4
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1
@@ -38,10 +37,8 @@ FLANK = 0.1
 @dataclass(frozen=True)
 class Hit:
     """One hit: *start* of its block [samples from the recording's start], samples (n_sample, n_channel)
-    without offset [SI].
-
-    *trigger*: sample of the block at which the force rises; *fault*: reason for rejection, empty for an
-    accepted hit.
+    without offset [SI]. *trigger*: sample of the block at which the force rises; *fault*: reason for
+    rejection, empty for an accepted hit.
     """
 
     number: int
@@ -101,12 +98,10 @@ def find_hits(
     source: SampleSource, force: int, n_sample: int, settings: ImpactSettings, first_number: int = 1
 ) -> Iterator[Hit]:
     """The hits of a recording in order of time, accepted or rejected; *force* is the hammer's column,
-    *n_sample* the block length.
-
-    A hit begins where |force| exceeds the trigger, a share of the largest force in the recording, both
-    relative to the zero level (the median of the first block); its block begins earlier by the pretrigger, or
-    where the recording begins if it holds one block only, as an analyser stores it. The recording is read
-    twice. DataError for a sample that is no number or a force that does not vary.
+    *n_sample* the block length. A hit begins where |force| exceeds the trigger, a share of the largest
+    force in the recording, both relative to the zero level (the median of the first block); its block
+    begins earlier by the pretrigger, or where the recording begins if it holds one block only, as an
+    analyser stores it. DataError for a sample that is no number or a force that does not vary.
     """
     rest = np.median(next(iter(source.blocks(READ_SAMPLES))), axis=0)
     level = settings.trigger * max(
@@ -124,7 +119,6 @@ def find_hits(
 
 def hit_counts(sources: Sequence[SampleSource], settings: FrfSettings) -> list[int]:
     """How many hits each recording holds, where some are left out by their numbers among all; else zeros.
-
     DataError for a number that no hit has.
     """
     counts, reject = [0] * len(sources), settings.impact.reject
@@ -160,16 +154,19 @@ def judged_hit(
     rest: FloatArray,
 ) -> Hit:
     """The hit in a block of samples *raw* (n_sample, n_channel) [SI], with the reason to leave it out.
-
     *trigger*: sample at which the force rises; what comes before tells the offset, or, of less than
     LEAST_BEFORE samples, the levels *rest* (n_channel,) of the recording.
     """
     samples = raw - (np.median(raw[:trigger], axis=0) if trigger >= LEAST_BEFORE else rest)
     force = columns_of(channels, "input")[0]
+    members = {term.channel for channel in channels if channel.role != "reference" for term in channel.terms}
+    # A tacho stands at both ends of its range, and no FRF is made of it.
+    measured = [channel.role != "reference" or channel.name in members for channel in channels]
+    clipped = np.flatnonzero(overloaded(samples) & measured)
     if number in settings.reject:
         fault = "left out by hand"
-    elif overloaded(samples).any():
-        fault = f"overload of channel '{channels[int(np.argmax(overloaded(samples)))].name}'"
+    elif clipped.size:
+        fault = f"overload of channel '{channels[clipped[0]].name}'"
     elif is_double(samples[:, force], settings.double_hit):
         fault = "double hit"
     else:
@@ -179,9 +176,8 @@ def judged_hit(
 
 def overloaded(samples: FloatArray) -> BoolArray:
     """Channels (n_channel,) of samples (n_sample, n_channel) [SI] with several equal consecutive samples at
-    the largest or smallest value.
-
-    Only values beyond half the peak count, so that the zero level is no overload.
+    the largest or smallest value. Only values beyond half the peak count, so that the zero level is no
+    overload.
     """
     peak = np.max(np.abs(samples), axis=0)
     clipped = np.zeros(samples.shape[1], bool)
@@ -211,10 +207,8 @@ def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
 
 
 def exponential_window(n_sample: int, constant: float) -> FloatArray:
-    """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples.
-
-    Applied to force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation
-    (frf-exponential).
+    """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples. Applied to
+    force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation (frf-exponential).
     """
     return np.exp(-np.arange(n_sample) / constant)
 
@@ -287,10 +281,8 @@ def force_noise_findings(
     parts: Parts, errors: Sequence[FloatArray], layout: Layout, windowed: bool
 ) -> Iterator[Finding]:
     """A warning of every force whose noise moves H, alike at all lines, by more than MOST_COMMON standard
-    errors of a gain common to all lines.
-
-    *errors* of each recording's force, relative, (n_line,) [1] each. With the relative variance v of a line:
-    sum(error / v) sqrt(2 / sum(1 / v)).
+    errors of a gain common to all lines. *errors* of each recording's force, relative, (n_line,) [1] each.
+    With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
     """
     if parts.covariance is None:
         return
@@ -445,10 +437,8 @@ class _HitAverage:
 
     def with_hits(self, parts: Parts, layout: Layout) -> Parts:
         """The parts with the FRFs of every hit alone, where there are two or more of one force, each with all
-        responses.
-
-        Not under an exponential window, whose lines share their noise: errors of one hit would come out too
-        small.
+        responses. Not under an exponential window, whose lines share their noise: errors of one hit would
+        come out too small.
         """
         if self._settings.damping_window is not None:
             return parts
@@ -472,9 +462,8 @@ class _HitAverage:
         )
 
     def line_correlation(self) -> ComplexArray:
-        """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1].
-
-        Empty without an exponential window.
+        """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1]. Empty without an exponential
+        window.
         """
         if self._settings.damping_window is None:
             return np.empty(0, np.complex128)

@@ -33,9 +33,10 @@ from labpipe.spectra.random import blocks_of, change_of_random, joined_spectra, 
 from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
-# Neighbours on either side that tell the FRF of a line.
 SIDE = 5
 FEWEST = 4
+# Standard errors by which a line lies beside that of its neighbours where it counts by itself.
+BENT = 5.0
 
 
 def covariance_by_neighbours(
@@ -46,18 +47,27 @@ def covariance_by_neighbours(
     gap: int = 0,
 ) -> ComplexArray:
     """cov vec G (n_line, n, n) [unit^2 of H] of G = *matrix* (n_line, n_output, n_input) at *frequency*
-    (n_line,) [Hz].
-
-    *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U); *noise*: their
-    covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the line that
-    share its noise, which are left out. Equation (frf-neighbours).
+    (n_line,) [Hz]. *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U);
+    *noise*: their covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the
+    line that share its noise, which are left out. A line far beside
+    that of its neighbours counts by itself. Equation (frf-neighbours).
     """
     there = _from_neighbours(frequency, matrix, gap)
-    n_output, n_input = matrix.shape[1:]
+    covariance = _covariance_of(there, vectors, noise)
+    variance = np.einsum("lii->li", covariance).real.reshape(matrix.shape)
+    # Of a sharp resonance a straight line tells less than the line's own noise leaves.
+    bent = np.any(np.abs(matrix - there) ** 2 > BENT**2 * variance, axis=(1, 2))
+    if not np.any(bent):
+        return covariance
+    return _covariance_of(np.where(bent[:, None, None], matrix, there), vectors, noise)
+
+
+def _covariance_of(there: ComplexArray, vectors: ComplexArray, noise: Sequence[ComplexArray]) -> ComplexArray:
+    n_line, n_output, n_input = there.shape
     residual_of = np.concatenate(
-        [-there, np.broadcast_to(np.eye(n_output), (frequency.size, n_output, n_output))], axis=2
+        [-there, np.broadcast_to(np.eye(n_output), (n_line, n_output, n_output))], axis=2
     )
-    forces = np.empty((frequency.size, n_input, len(noise)), np.complex128)
+    forces = np.empty((n_line, n_input, len(noise)), np.complex128)
     for run, of_run in enumerate(noise):
         crossed = of_run @ hermitian(residual_of)
         left = residual_of @ vectors[:, :, run : run + 1]
@@ -108,11 +118,10 @@ def is_joint(blocks: Blocks) -> bool:
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """G (n_line, n_output, n_input) [output unit / N], and what it is made of.
-
-    columns (n_line, n_input + n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces
-    first; noise (n_line, n, n) [unit^2/Hz]: of the part due to one reference, forces first; strength
-    (n_line,) [1]: of the force that they move least, over its standard deviation.
+    """G (n_line, n_output, n_input) [output unit / N], and what it is made of. columns (n_line, n_input +
+    n_output, n_reference) [unit/Hz^0.5]: the parts due to the references, forces first; noise (n_line, n, n)
+    [unit^2/Hz]: of the part due to one reference, forces first; strength (n_line,) [1]: of the force that
+    they move least, over its standard deviation.
     """
 
     matrix: ComplexArray
@@ -125,10 +134,8 @@ def joint_estimate(
     spectra: ComplexArray, references: Sequence[str], n_input: int, averages: float
 ) -> JointEstimate:
     """G of averaged *spectra* (n_line, n, n) [unit^2/Hz], *references* first, then *n_input* forces, then
-    responses.
-
-    With more references than forces, least squares over them. DataError for references that are silent or
-    follow from each other. Equation (frf-joint).
+    responses. With more references than forces, least squares over them. DataError for references that are
+    silent or follow from each other. Equation (frf-joint).
     """
     n = len(references)
     lower = lower_of_drives(spectra[:, :n, :n], references, "reference")
@@ -149,10 +156,8 @@ def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
 
 
 def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF of random data under the references of the settings, with H1 beside it.
-
-    ConfigError for references that are none, DataError for too few of them, and for such as do not move the
-    forces.
+    """The FRF of random data under the references of the settings, with H1 beside it. ConfigError for
+    references that are none, DataError for too few of them, and for such as do not move the forces.
     """
     references, n_input = settings.reference, len(layout.inputs)
     whole = _with_references(sources, settings, layout)
@@ -250,9 +255,7 @@ def open_loop_note(
     frequency: FloatArray, matrix: ComplexArray, covariance: ComplexArray, open_loop: ComplexArray
 ) -> Finding:
     """How far H1, *open_loop*, is from the FRF *matrix* (n_line, n_output, n_input) [unit of H] at
-    *frequency* (n_line,) [Hz], in words.
-
-    *covariance* (n_line, n, n) [unit^2 of H] of the FRF.
+    *frequency* (n_line,) [Hz], in words. *covariance* (n_line, n, n) [unit^2 of H] of the FRF.
     """
     size = np.linalg.norm(matrix, axis=(1, 2))
     apart = np.linalg.norm(open_loop - matrix, axis=(1, 2)) / size

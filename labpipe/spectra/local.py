@@ -34,11 +34,9 @@ LINES_AT_ONCE, CORRELATED = 2048, 4096
 @dataclass(frozen=True)
 class LocalFit:
     """FRF at the middle of every window: matrix (n_line, n_output, n_input) [output unit / N], covariance
-    (n_line, n, n) of its vec.
-
-    multiple_coherence (n_line, n_output) [1] of the lines in the window without their leakage; correlation (2
-    n,) [1] of the error with that of the next lines; condition (n_line,) [1]: of the equations of every line;
-    dof: complex degrees of freedom of its noise.
+    (n_line, n, n) of its vec. multiple_coherence (n_line, n_output) [1] of the lines in the window without
+    their leakage; correlation (2 n,) [1] of the error with that of the next lines; condition (n_line,) [1]:
+    of the equations of every line; dof: complex degrees of freedom of its noise.
     """
 
     matrix: ComplexArray
@@ -51,9 +49,7 @@ class LocalFit:
 
 def freedom(n_block: int, n_input: int, degree: int, half_width: int) -> int:
     """Complex degrees of freedom of the residual: (2 n + 1 - (d + 1)) of every block, less (d + 1) of every
-    force.
-
-    Equation (frf-local-freedom).
+    force. Equation (frf-local-freedom).
     """
     return n_block * (2 * half_width - degree) - (degree + 1) * n_input
 
@@ -66,12 +62,11 @@ def local_polynomials(
     recordings: IntArray | None = None,
 ) -> LocalFit:
     """Y(k + r) = (sum_s G_s r^s) U(k + r) + sum_s T_s r^s + V for r = -n ... n in every block: G common,
-    leakage T of each block alone.
-
-    forces (n_block, n_line, n_input) [N], responses (n_block, n_line, n_output) [output unit]: DFT without
-    window; the first and the last half_width lines have no window of their own and are left out. H(k) = G_0;
-    its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j], S_vv from the residual, at the level
-    that it has in each of the *recordings* (n_block,), numbers from 0 on. Equation (frf-local-polynomial).
+    leakage T of each block alone. forces (n_block, n_line, n_input) [N], responses (n_block, n_line,
+    n_output) [output unit]: DFT without window; the first and the last half_width lines have no window of
+    their own and are left out. H(k) = G_0; its covariance is that of least squares, S_vv[o, p] (A^-1)[i, j],
+    S_vv from the residual, at the level that it has in each of the *recordings* (n_block,), numbers from 0
+    on. Equation (frf-local-polynomial).
     """
     recorded = np.zeros(len(forces), np.int64) if recordings is None else recordings
     blocks_of = np.eye(recorded.max() + 1)[recorded]
@@ -173,11 +168,10 @@ ROUNDING = 1e-13
 @dataclass(frozen=True)
 class LocalNoise:
     """What a local rational FRF leaves of every line: noise (n_line, n_output, n_output) [output unit^2] of
-    one block.
-
-    leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread* (n_line,
-    n_block, n_output) [1]; of_blocks (n_line, n_block, n_output) [output unit^2]: what each block leaves;
-    *dof* complex degrees of freedom of the noise of a line, *width* the number of lines they come from.
+    one block. leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread*
+    (n_line, n_block, n_output) [1]; of_blocks (n_line, n_block, n_output) [output unit^2]: what each block
+    leaves; *dof* complex degrees of freedom of the noise of a line, *width* the number of lines they come
+    from.
     """
 
     noise: ComplexArray
@@ -190,11 +184,9 @@ class LocalNoise:
 
 def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalNoise:
     """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block,
-    n_line, n_input) [N].
-
-    Both are transforms without window. Every output has its own pole, which all blocks share as they share B;
-    each block has its own leakage T, of which T(0) is the value at the line. The first and the last
-    half_width lines are left out. Equation (frf-local-rational).
+    n_line, n_input) [N]. Both are transforms without window. Every output has its own pole, which all blocks
+    share as they share B; each block has its own leakage T, of which T(0) is the value at the line. The first
+    and the last half_width lines are left out. Equation (frf-local-rational).
     """
     parts = [_around_lines(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
     noise: ComplexArray
@@ -254,9 +246,8 @@ WORST_CONDITION = 1e8
 
 
 def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from DFTs of neighbouring blocks without window.
-
-    DataError for forces that cannot be told from leakage or from each other.
+    """The FRF from DFTs of neighbouring blocks without window. DataError for forces that cannot be told from
+    leakage or from each other.
     """
     assert settings.block is not None
     rate = sources[0].sample_rate

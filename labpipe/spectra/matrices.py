@@ -6,7 +6,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 
-# Numbers of matrices that are worked on together: a part of the cache.
 CACHED_NUMBERS = 1 << 15
 
 
@@ -23,10 +22,8 @@ def lines_last(n_line: int, n_row: int, n_column: int) -> ComplexArray:
 
 
 def product(left: ComplexArray, right: ComplexArray) -> ComplexArray:
-    """left right of matrices (n_line, n, m) and (n_line, m, k) [any unit], (n_line, n, k); lines are last in
-    memory.
-
-    For small matrices whose lines are last in memory too many times faster than ``@``.
+    """left right of matrices (n_line, n, m) and (n_line, m, k) [any unit], (n_line, n, k); lines are last
+    in memory.
     """
     result = lines_last(left.shape[0], left.shape[1], right.shape[2])
     np.einsum("fij,fjk->fik", left, right, out=result)
@@ -34,20 +31,14 @@ def product(left: ComplexArray, right: ComplexArray) -> ComplexArray:
 
 
 def at_lines(matrix: ComplexArray, chosen: BoolArray) -> ComplexArray:
-    """The *chosen* lines (n_line,) of matrices (n_line, n, m) [any unit].
-
-    Lines stay last in memory where they are, all are no copy.
-    """
+    """The *chosen* lines (n_line,) of matrices (n_line, n, m) [any unit]."""
     if np.all(chosen):
         return matrix
     return np.compress(chosen, matrix.transpose(1, 2, 0), axis=2).transpose(2, 0, 1)
 
 
 def inverse(matrix: ComplexArray) -> ComplexArray:
-    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular.
-
-    Closed form for n = 1, 2.
-    """
+    """The inverses of matrices (..., n, n) [any unit]; numpy.linalg.LinAlgError when one is singular."""
     n = matrix.shape[-1]
     if n > 2:
         return np.linalg.inv(matrix)
@@ -69,9 +60,8 @@ def inverse(matrix: ComplexArray) -> ComplexArray:
 
 def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """The inverses of Hermitian positive definite matrices (n_line, n, n) [any unit], and their pivots
-    (n_line, n) [any unit].
-
-    The determinant is the product of the pivots. numpy.linalg.LinAlgError when a pivot is not positive.
+    (n_line, n) [any unit]. The determinant is the product of the pivots. numpy.linalg.LinAlgError when a
+    pivot is not positive.
     """
     n_line, n = matrix.shape[:2]
     work = lines_last(n_line, n, n)
@@ -93,10 +83,9 @@ def definite_inverse(matrix: ComplexArray) -> tuple[ComplexArray, FloatArray]:
 
 def schur_complement(matrix: ComplexArray, n_first: int) -> ComplexArray:
     """D - B^H A^-1 B of Hermitian positive definite matrices [[A, B], [B^H, D]] (n_line, n, n) [any unit], A
-    (n_line, n_first, n_first).
-
-    (n_line, n - n_first, n - n_first), lines last in memory. Elimination below the diagonal: the condition of
-    A does not enter; exactly Hermitian, and a diagonal that rounding makes negative is 0.
+    (n_line, n_first, n_first). (n_line, n - n_first, n - n_first), lines last in memory. Elimination below
+    the diagonal: the condition of A does not enter; exactly Hermitian, and a diagonal that rounding makes
+    negative is 0.
     """
     n_line, n = matrix.shape[:2]
     rest = lines_last(n_line, n - n_first, n - n_first)

@@ -59,11 +59,10 @@ def measure(
     name: str = "",
     conditions: dict[str, Any] | None = None,
 ) -> FrequencyResponse:
-    """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input.
-
-    A force that a recording lacks is zero in it. Memory use does not depend on the recordings' length.
-    DataError for recordings that do not fit together, are too short, hold NaN, or whose forces are not
-    independent; one too short for an average is left out by name beside longer ones of its channels.
+    """The FRF matrix H = Y/U (time factor e^{+jwt}) of recordings that together excite every input. A force
+    that a recording lacks is zero in it. DataError for recordings that do not fit together, are too short,
+    hold NaN, or whose forces are not independent; one too short for an average is left out by name beside
+    longer ones of its channels.
     """
     check_rates(sources)
     if settings.excitation not in EXCITATIONS:
@@ -92,7 +91,6 @@ def _with_repeats(
     response: FrequencyResponse, sources: Sequence[SampleSource], settings: FrfSettings, counts: Sequence[int]
 ) -> FrequencyResponse:
     """The response with that of every recording alone, where each has all of it; *counts*: of their hits.
-
     Recordings that alone give no response, or other lines, are no repeats, but for one whose hits are all
     left out beside others; of a single recording its hits are.
     """
@@ -129,7 +127,6 @@ def _with_repeats(
 
 
 def _level(source: SampleSource) -> float:
-    """r.m.s. of the force about its mean [N]."""
     column = columns_of(source.channels, "input")[0]
     count, total, square = 0, 0.0, 0.0
     for block in source.blocks(READ_SAMPLES):
@@ -145,7 +142,6 @@ def _of_sensor_places(
     name: str,
     conditions: dict[str, Any] | None,
 ) -> FrequencyResponse:
-    """The responses for each place of the sensors, joined to one matrix; *counts*: of their hits."""
     places: dict[tuple[Any, ...], list[int]] = {}
     for number, source in enumerate(sources):
         place = tuple((channel.name, channel.dof) for channel in source.channels if channel.role == "output")
@@ -249,7 +245,6 @@ def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovari
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:
-    """Outputs coherent with the forces: noise does not tell of an anti-alias filter."""
     n_output = len(layout.outputs)
     if parts.multiple_coherence is not None:
         coherent = np.median(parts.multiple_coherence, axis=0) > EXPLAINED

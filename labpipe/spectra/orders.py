@@ -41,9 +41,8 @@ class Plane:
 
 
 def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
-    """The planes with two outputs in known, different directions, in the order of the outputs.
-
-    A dof "bearing2.y" points at 90 deg in the plane "bearing2"; a dof without direction (z) is in no plane.
+    """The planes with two outputs in known, different directions, in the order of the outputs. A dof
+    "bearing2.y" points at 90 deg in the plane "bearing2"; a dof without direction (z) is in no plane.
     """
     members_of: dict[str, list[tuple[int, float]]] = {}
     for column, port in enumerate(ports):
@@ -60,13 +59,12 @@ def planes_of(ports: Sequence[Port]) -> tuple[Plane, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class OrderTrack:
-    """One order of the outputs: x = Re X exp(j order theta), theta the shaft angle from the tacho pulse.
-
-    time (n,) [s], speed (n,) [Hz] of the segments; amplitude (n, n_channel) complex, 0-to-peak [SI]; variance
-    (n, n_channel) E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half
-    the peak-to-peak value of the total motion [SI]; orbit (n, n_plane): largest distance of the total motion
-    from its centre in each of `planes` [SI]. mean (n, n_channel): what does not turn [SI], of probes with
-    their gap voltage where the shaft stands; of circles that in x and y.
+    """One order of the outputs: x = Re X exp(j order theta), theta the shaft angle from the tacho pulse. time
+    (n,) [s], speed (n,) [Hz] of the segments; amplitude (n, n_channel) complex, 0-to-peak [SI]; variance (n,
+    n_channel) E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half the
+    peak-to-peak value of the total motion [SI]; orbit (n, n_plane): largest distance of the total motion from
+    its centre in each of `planes` [SI]. mean (n, n_channel): what does not turn [SI], of probes with their
+    gap voltage where the shaft stands; of circles that in x and y.
     """
 
     order: float
@@ -85,7 +83,6 @@ def track_order(
     source: SampleSource, lines: ShaftLines, *, order: float = 1.0, revolutions: int = 20
 ) -> OrderTrack:
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
-
     *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
     order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays, that of the tacho too, and
     frequency responses of the channels are taken out. DataError without a complete segment, without two
@@ -136,9 +133,8 @@ def track_order(
 
 def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
     """The track of one plane as forward and backward circles, columns f and b with the plane's name: [f, b] =
-    A^-1 [x, y], A = [[1, 1], [-j, j]].
-
-    The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||. Equation (run-circles).
+    A^-1 [x, y], A = [[1, 1], [-j, j]]. The orbit is an ellipse with the half axes |f| + |b| and ||f| - |b||.
+    Equation (run-circles).
     """
     to_xy = np.linalg.inv(plane.directions)
     turn = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
@@ -195,7 +191,6 @@ def _fit(
     orders: FloatArray,
     order: float,
 ) -> tuple[float, float, ComplexArray, FloatArray, FloatArray]:
-    """Mean time [s], speed [Hz], amplitude, its variance and mean (n_output,) of one segment."""
     # Beyond half the sampling rate a harmonic is a lower order: both would share its amplitude.
     step = (angle[-1] - angle[0]) / max(time.size - 1, 1)
     orders = orders[(orders * step < np.pi) | (orders == order)]
@@ -229,10 +224,8 @@ def cascade_spectra(
     source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0
 ) -> CascadeSpectra:
     """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled
-    to a sine's amplitude).
-
-    Frequencies up to *orders* times the highest speed. DataError when the recording is shorter than two
-    blocks. Equation (spec-cascade).
+    to a sine's amplitude). Frequencies up to *orders* times the highest speed. DataError when the recording
+    is shorter than two blocks. Equation (spec-cascade).
     """
     length = round(source.sample_rate / resolution)
     motion = shaft_motion(source, lines)

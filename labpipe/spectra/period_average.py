@@ -29,7 +29,6 @@ SEEN_BESIDE = 5
 @dataclass(frozen=True)
 class LineSpectrum:
     """Fourier amplitudes X = 2/N sum x exp(-j w t) of all channels averaged over periods, with their noise.
-
     frequency (n_line,) [Hz]; mean (n_line, n_channel) [unit of the channel]; noise (n_line, n_channel,
     n_channel): covariance E[e e^H] of the mean, None with a single period; line_dof (n_line,): complex
     degrees of freedom of each line of the noise.
@@ -49,9 +48,8 @@ class LineSpectrum:
         return float(1 / np.mean(1 / self.line_dof)) if self.line_dof.size else 0.0
 
     def select(self, lines: BoolArray) -> LineSpectrum:
-        """The spectrum at the lines of the mask *lines* (n_line,).
-
-        Mean and noise keep their units [unit of the channel].
+        """The spectrum at the lines of the mask *lines* (n_line,). Mean and noise keep their units [unit of
+        the channel].
         """
         noise = None if self.noise is None else self.noise[lines]
         return LineSpectrum(
@@ -83,11 +81,9 @@ class RestMotion:
 
     @classmethod
     def of(cls, levels: FloatArray) -> RestMotion:
-        """From the means of two periods or more, *levels* (n_period, n_channel) [unit of the channel].
-
-        The parabola through the means of a period and of its neighbours; before the second and after the last
-        but one that of their neighbour. What repeats with the periods is in none of them. Equation
-        (spec-creep).
+        """From the means of two periods or more, *levels* (n_period, n_channel) [unit of the channel]. The
+        parabola through the means of a period and of its neighbours; before the second and after the last
+        but one that of their neighbour. Equation (spec-creep).
         """
         if len(levels) == 2:
             slope = np.repeat(np.diff(levels, axis=0), 2, axis=0)
@@ -105,11 +101,9 @@ class RestMotion:
         return course
 
     def seen(self, spectrum: LineSpectrum, n_sample: int, numbers: IntArray) -> BoolArray:
-        """Channels (n_channel,) with a line on which it shifts the mean by more than its standard deviation,
-        or a single period by more than that of a period (twice that of two periods, which tell it poorly).
-
-        *numbers* (n_line,) of the spectrum's lines in a period of *n_sample*. Noise alone shifts a period on
-        line k by 1/(9 k) of its standard deviation.
+        """Channels (n_channel,) with a line on which it shifts the mean by more than its standard
+        deviation, or a single period by more than that of a period (twice that of two periods, which tell
+        it poorly). *numbers* (n_line,) of the spectrum's lines in a period of *n_sample*.
         """
         if spectrum.noise is None:
             return np.zeros(self.slope.shape[1], bool)
@@ -168,10 +162,8 @@ class Differences:
 
     def further(self, columns: Sequence[int]) -> dict[int, tuple[int, float]]:
         """Of the channels *columns* that have not settled: how many more periods to skip, and the decay of
-        the motion per period [1].
-
-        By logarithms of the squares, against Student's t: the first one over the later half, and their slope.
-        Equation (spec-settling).
+        the motion per period [1]. By logarithms of the squares, against Student's t: the first one over the
+        later half, and their slope. Equation (spec-settling).
         """
         if len(self._squares) < FEWEST or not columns:
             return {}
@@ -238,9 +230,7 @@ def settling_finding(
 
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
-
-    Updated by Welford's algorithm, so that a small noise on a large signal does not cancel. Equation
-    (spec-period).
+    Equation (spec-period).
     """
 
     def __init__(
@@ -251,9 +241,8 @@ class PeriodAverage:
         lines: slice = slice(1, None),
         creep: RestMotion | None = None,
     ) -> None:
-        """*n_sample* samples per period, *skip* transient periods.
-
-        *lines* of the DFT, by default all above 0 Hz; *creep* is subtracted.
+        """*n_sample* samples per period, *skip* transient periods. *lines* of the DFT, by default all above 0
+        Hz; *creep* is subtracted.
         """
         self._n_sample = n_sample
         self._lines = lines
@@ -305,9 +294,8 @@ class PeriodAverage:
         return RestMotion(motion.slope * seen, motion.bend * seen) if np.any(seen) else None
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
-        """The averaged lines; DataError when no period is left after the transient ones.
-
-        Equation (spec-period-noise).
+        """The averaged lines; DataError when no period is left after the transient ones. Equation
+        (spec-period-noise).
         """
         n = self.n_period
         if n == 0:
@@ -322,12 +310,10 @@ class PeriodAverage:
 
 
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:
-    """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h.
-
-    Few periods give too few degrees of freedom per line for weights; broadband noise is shared by neighbours.
-    A line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged; of
-    fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its neighbours'
-    raises theirs. Equation (spec-smoothed-noise).
+    """The spectrum with its noise averaged over neighbouring lines: S_s(k) = mean of S over k-h ... k+h. A
+    line whose noise in any channel exceeds that of its neighbours (F-test at 0.1 %) is not averaged; of
+    fewer periods than channels its own noise has no inverse, and *with_inverse* what exceeds its
+    neighbours' raises theirs. Equation (spec-smoothed-noise).
     """
     if spectrum.noise is None or half_width == 0:
         return spectrum
@@ -383,9 +369,8 @@ def _neighbourhood_count(chosen: BoolArray, half_width: int, centre: bool) -> Fl
 def neighbourhood_mean(
     values: NDArray[Any], chosen: BoolArray, half_width: int, centre: bool = True
 ) -> NDArray[Any]:
-    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ...
-
-    k+h, with or without line k itself.
+    """Mean of *values* (n_line, ...) [any unit] over the *chosen* lines (n_line,) k-h ... k+h, with or
+    without line k itself.
     """
     shape = (-1,) + (1,) * (values.ndim - 1)
     total = _neighbourhood_sum(np.where(chosen.reshape(shape), values, 0), half_width, centre)
@@ -397,7 +382,6 @@ def excited_lines(
     spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3
 ) -> BoolArray:
     """Lines (n_line,) at which a force acts: above its noise, and above *floor* [1] of the strongest line.
-
     With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation
     (spec-excited).
     """

@@ -44,7 +44,6 @@ from labpipe.spectra.settings import FrfSettings
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
-
     DataError when no line of a force exceeds its noise, or when the forces are not independent. Equation
     (frf-periodic).
     """
@@ -124,10 +123,8 @@ def _injected_lines(
     spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], settings: FrfSettings
 ) -> BoolArray:
     """Lines (n_line,) at which a reference acts in every recording: what else repeats is a disturbance that
-    the loop answers.
-
-    Not where a force exceeds its noise: to choose lines by the force's noise prefers errors of one sign.
-    DataError for a reference without lines.
+    the loop answers. Not where a force exceeds its noise: to choose lines by the force's noise prefers errors
+    of one sign. DataError for a reference without lines.
     """
     joint.check_references(sources, settings)
     injected = np.ones(spectra[0].frequency.size, bool)
@@ -154,7 +151,6 @@ def _injected_lines(
 def _change(
     spectra: Sequence[LineSpectrum], halves: Sequence[LineSpectrum | None], lines: BoolArray, layout: Layout
 ) -> ComplexArray | None:
-    """H of the second half of the periods less that of the first (n_line, n_output, n_input)."""
     first = [half.select(lines) for half in halves if half is not None]
     if len(first) < len(spectra):
         return None
@@ -193,10 +189,8 @@ def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
 def period_average(
     source: SampleSource, settings: FrfSettings
 ) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
-    """The averaged lines of one recording in the band, those of the first half of its periods, and findings:
-    motion that had not settled, a rest position that creeps.
-
-    The creep is subtracted; where nothing moves but the force makes it, the file is read once.
+    """The averaged lines of one recording in the band, those of the first half of its periods, and
+    findings: motion that had not settled, a rest position that creeps.
     """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
@@ -241,9 +235,7 @@ def _creep_note(creep: RestMotion, source: SampleSource) -> Finding:
 
 def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: bool) -> tuple[Finding, ...]:
     """Forces line by line, since their noise makes H too small there; responses by their power over the band,
-    as lines weigh by noise.
-
-    Not responses that have not *settled*: their scatter is not noise.
+    as lines weigh by noise. Not responses that have not *settled*: their scatter is not noise.
     """
     n_input = len(layout.inputs)
     poor = np.mean(snr[:, :n_input] < LOW_SNR, axis=0)
@@ -266,7 +258,6 @@ def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: 
 @dataclass(frozen=True)
 class Distortion:
     """Levels of an FRF (n_frequency, n_output, n_input) [its unit], deviations those of one realisation.
-
     gain: best linear approximation, the mean of the realisations; total: standard deviation between
     realisations of the phases; noise: that from the scatter between periods; nonlinear: the excess of total
     over noise.
@@ -278,18 +269,16 @@ class Distortion:
 
     @property
     def nonlinear(self) -> FloatArray:
-        """sqrt(total^2 - noise^2), (n_frequency, n_output, n_input) [unit of the FRF]; least 0.
-
-        Equation (frf-distortion).
+        """sqrt(total^2 - noise^2), (n_frequency, n_output, n_input) [unit of the FRF]; least 0. Equation
+        (frf-distortion).
         """
         return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
 
 
 def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
-    """Distortion from FRFs of one rig under several random-phase realisations of one excitation.
-
-    The robust method (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1).
-    DataError for fewer than two realisations, different lines, or FRFs of single periods.
+    """Distortion from FRFs of one rig under several random-phase realisations of one excitation. The robust
+    method (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1). DataError for fewer than two
+    realisations, different lines, or FRFs of single periods.
     """
     if len(realisations) < 2:
         raise DataError(
@@ -336,7 +325,6 @@ class LeftOutLines:
     @property
     def distortion(self) -> float:
         """Root mean square of the level after subtraction of the noise power; 0 where the noise is stronger.
-
         Equation (frf-detection).
         """
         return max(float(np.mean(self.level**2 - self.noise**2)), 0.0) ** 0.5
@@ -358,11 +346,10 @@ def left_out_lines(
     spectrum: LineSpectrum, acting: BoolArray, matrix: ComplexArray, output: int, period: float
 ) -> dict[str, LeftOutLines]:
     """The lines within the band of those where a force is *acting* (n_line,) at which none does, by kind:
-    "odd" and "even" where forces act at odd multiples of 1 / *period* [s] alone, else "".
-
-    Of nonlinearity of even and odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*:
-    forces first, then outputs; *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four
-    lines are left out.
+    "odd" and "even" where forces act at odd multiples of 1 / *period* [s] alone, else "". Of nonlinearity of
+    even and odd order (Pintelon and Schoukens, sec. 4.3.2: the fast method). *spectrum*: forces first, then
+    outputs; *matrix* (n_line, n_output, n_input): H at all lines. Kinds of fewer than four lines are left
+    out.
     """
     first, last = np.flatnonzero(acting)[[0, -1]]
     silent = ~acting
@@ -386,7 +373,6 @@ def left_out_lines(
 def _left_out_notes(
     spectra: Sequence[LineSpectrum], lines: BoolArray, matrix: ComplexArray, layout: Layout, period: float
 ) -> tuple[Finding, ...]:
-    """A note for each response and kind of lines, of the recording in which it moves most there."""
     largest: dict[tuple[str, str], tuple[float, float]] = {}
     frequency = spectra[0].frequency
     whole = (
@@ -421,9 +407,7 @@ def _left_out_notes(
 
 def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many
-    as it has forces.
-
-    DataError unless every set of forces has the same number of realisations, at least two.
+    as it has forces. DataError unless every set of forces has the same number of realisations, at least two.
     """
     series: dict[tuple[tuple[str, str], ...], list[SampleSource]] = {}
     for source in sources:
@@ -444,11 +428,8 @@ def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
 
 
 def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
-    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by the
-    number M of realisations.
-
-    Distortion is averaged over *half_width* lines to either side, as noise is. Raises as robust_distortion
-    does. Equation (frf-robust).
+    """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by
+    the number M of realisations. Raises as robust_distortion does. Equation (frf-robust).
     """
     first, m = responses[0], len(responses)
     levels = robust_distortion(responses)

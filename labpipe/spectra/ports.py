@@ -24,16 +24,14 @@ from labpipe.spectra.channels import check_in_time, columns_of
 from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.settings import FrfSettings
 
-# Time derivatives of a motion.
 ORDER_OF = {"displacement": 0, "velocity": 1, "acceleration": 2}
 FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Inputs and outputs of the common matrix, and their channels in each recording.
-
-    *input_columns*: per recording the channel index of every input, or -1 where that force does not act.
+    """Inputs and outputs of the common matrix, and their channels in each recording. *input_columns*: per
+    recording the channel index of every input, or -1 where that force does not act.
     """
 
     inputs: tuple[Port, ...]
@@ -46,10 +44,8 @@ class Layout:
 
     def sensor_factor(self, frequency: FloatArray) -> ComplexArray:
         """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at
-        *frequency* (n_line,) [Hz].
-
-        Of a transmissibility also (j w)^-n, n derivatives of the response more than of the base. Raises as
-        sensor_response does. Equation (spec-sensor-frf).
+        *frequency* (n_line,) [Hz]. Of a transmissibility also (j w)^-n, n derivatives of the response more
+        than of the base. Raises as sensor_response does. Equation (spec-sensor-frf).
         """
         responses = [
             [sensor_response(sensor, frequency) for sensor in sensors]
@@ -62,8 +58,8 @@ class Layout:
 
     @property
     def one_force_each(self) -> bool:
-        """Whether there are several forces of which one alone acts in every recording, as of a roving
-        hammer.
+        """Whether there are several forces of which one alone acts in every recording, as of a
+        roving hammer.
         """
         return len(self.inputs) > 1 and all(
             sum(column >= 0 for column in columns) == 1 for columns in self.input_columns
@@ -71,18 +67,16 @@ class Layout:
 
     @property
     def derivatives(self) -> int:
-        """Time derivatives of the measured responses beyond those of the measured motion of a base.
-
-        0 for forces.
+        """Time derivatives of the measured responses beyond those of the measured motion of a base. 0 for
+        forces.
         """
         if self.form != TRANSMISSIBILITY:
             return 0
         return ORDER_OF[self.output_sensors[0].quantity] - ORDER_OF[self.input_sensors[0].quantity]
 
     def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
-        """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs.
-
-        Zero for an absent force.
+        """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs. Zero for
+        an absent force.
         """
         columns = (*self.input_columns[recording], *self.output_columns[recording])
         return at_columns(values, columns, axes)
@@ -102,9 +96,8 @@ def at_columns(values: ComplexArray, columns: Sequence[int], axes: int) -> Compl
 
 
 def find_layout(sources: Sequence[SampleSource]) -> Layout:
-    """The layout of the recordings' common matrix.
-
-    DataError when a recording lacks an output or quantities differ.
+    """The layout of the recordings' common matrix. DataError when a recording lacks an output or quantities
+    differ.
     """
     inputs, input_columns, input_sensors = _ports_of(sources, "input")
     outputs, output_columns, output_sensors = _ports_of(sources, "output")
@@ -116,7 +109,6 @@ def response_ports(
     sources: Sequence[SampleSource],
 ) -> tuple[tuple[Port, ...], tuple[tuple[int, ...], ...], tuple[Channel, ...]]:
     """The responses of recordings without regard to forces: ports, the columns of each recording, channels.
-
     DataError as find_layout.
     """
     check_rates(sources)
@@ -125,11 +117,9 @@ def response_ports(
 
 def sensor_response(sensor: Channel, frequency: FloatArray) -> ComplexArray:
     """Sensor frequency response, indicated / true: exp(-j w delay) g(f) exp(j phi(f)), (n_line,) [1] at
-    *frequency* (n_line,) [Hz].
-
-    Gain g and phase phi are interpolated linearly in the channel's table; a phase that stays within -180 to
-    180 deg, or 0 to 360 deg, may jump by a turn. DataError for a line outside the table. Equation
-    (spec-sensor).
+    *frequency* (n_line,) [Hz]. Gain g and phase phi are interpolated linearly in the channel's table; a phase
+    that stays within -180 to 180 deg, or 0 to 360 deg, may jump by a turn. DataError for a line outside the
+    table. Equation (spec-sensor).
     """
     response: ComplexArray = np.exp(-2j * np.pi * frequency * sensor.delay)
     if not sensor.response:
@@ -265,12 +255,11 @@ LOW_COHERENCE = 0.9
 @dataclass(frozen=True, kw_only=True)
 class Parts:
     """FRF matrix (n_line, n_output, n_input) [output unit / N], covariance and quality on the measured lines.
-
     frequency (n_line,) [Hz]; covariance (n_line, n, n) of vec(H), n = n_output * n_input, or its parts;
     coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
-    n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input)
-    [output unit / N] of one recording's hits or of all sweeps alone, with their numbers and peak (sweeps:
-    r.m.s.) forces [N].
+    n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input) [output
+    unit / N] of one recording's hits or of all sweeps alone, with their numbers and peak (sweeps: r.m.s.)
+    forces [N].
     """
 
     frequency: FloatArray
@@ -295,7 +284,6 @@ class Parts:
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
     """Lines (n_line,) [Hz] in the settings' band and outside its excluded bands, as a mask (n_line,).
-
     DataError when none is left.
     """
     chosen = lines_in(frequency, settings.band, settings.exclude)
@@ -307,8 +295,6 @@ def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
 def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) -> tuple[Finding, ...]:
     """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the
     *multiple* coherence (same shape).
-
-    Lines of low coherence alone are no fault: every response has some.
     """
     total = np.sum(power, axis=0)
     noise = np.divide(
@@ -333,11 +319,9 @@ QUALITIES = ("coherence", "partial_coherence", "distortion", "change", "open_loo
 
 def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
     """One matrix (n_frequency, n_output, n_input) [unit of the form] of elements, rows or columns that lie in
-    several responses.
-
-    Rows and columns are in the order of the numbers in their labels. Coherences and covariances stay where
-    all responses have them; their noise is independent. DataError for an element that is missing or there
-    twice, for frequencies or forms that differ.
+    several responses. Rows and columns are in the order of the numbers in their labels. Coherences and
+    covariances stay where all responses have them; their noise is independent. DataError for an element that
+    is missing or there twice, for frequencies or forms that differ.
     """
     first = responses[0]
     for response in responses[1:]:
@@ -390,7 +374,6 @@ def _place(
 def _covariance(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> StoredCovariance:
-    """Covariance of all elements, a block for every response where they are alike."""
     covariances = [
         covariance for covariance in (response.covariance for response in responses) if covariance is not None
     ]
@@ -409,7 +392,6 @@ def _covariance(
 def _errors(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> tuple[MatrixError, ...]:
-    """The systematic errors of all responses; one of several responses is one error in all of them."""
     uncertainties = {
         error.uncertainty.source: error.uncertainty for response in responses for error in response.errors
     }

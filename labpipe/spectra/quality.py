@@ -38,10 +38,8 @@ def condition_number(correlation: ComplexArray) -> FloatArray:
 
 def _worst_condition(correlation: ComplexArray) -> float:
     """The largest condition number [1] of matrices as in condition_number, or a bound of it that is far below
-    what matters.
-
-    With the determinant d <= smallest (n / (n - 1))^(n - 1), and the largest of n eigenvalues of mean 1 is
-    below n: eigenvalues cost ten times a determinant.
+    what matters. With the determinant d <= smallest (n / (n - 1))^(n - 1), and the largest of n eigenvalues
+    of mean 1 is below n: eigenvalues cost ten times a determinant.
     """
     n = correlation.shape[1]
     if n > 2:
@@ -52,7 +50,6 @@ def _worst_condition(correlation: ComplexArray) -> float:
 
 def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
     """Pseudo-inverse [1/N] of the forces (n_line, n_input, n_experiment), (n_line, n_experiment, n_input).
-
     DataError when the forces do not span every input at every line.
     """
     n_input, n_experiment = forces.shape[1:]
@@ -72,7 +69,6 @@ def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
 
 def signal_to_noise(mean: ComplexArray, noise: ComplexArray) -> FloatArray:
     """|mean| / std of the mean [1] by line and channel, the largest over the recordings, (n_line, n_channel).
-
     mean (n_line, n_channel, n_recording) [unit], noise (n_recording, n_line, n_channel, n_channel) [unit^2].
     """
     std = np.sqrt(np.maximum(np.einsum("eljj->lje", noise).real, 0.0))
@@ -102,10 +98,8 @@ def check_power(power: FloatArray) -> None:
 
 def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
     """DataError unless *estimator* can use the outputs with spectra (n_frequency, n_output, n_output)
-    [unit^2/Hz].
-
-    No output may be silent; for H2 the outputs must also be independent, since their cross-spectra are
-    inverted.
+    [unit^2/Hz]. No output may be silent; for H2 the outputs must also be independent, since their
+    cross-spectra are inverted.
     """
     power = np.einsum("foo->fo", s_yy).real
     silent = [port.label for port, values in zip(layout.outputs, power.T, strict=True) if np.any(values == 0)]
@@ -121,9 +115,8 @@ def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
 
 
 def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
-    """gamma^2 = |S_yu|^2 / (S_yy S_uu) per output and force, (n_frequency, n_output, n_input) [1].
-
-    s_uu (n_frequency, n_input, n_input) [N^2/Hz], s_yu (n_frequency, n_output, n_input), s_yy (n_frequency,
+    """gamma^2 = |S_yu|^2 / (S_yy S_uu) per output and force, (n_frequency, n_output, n_input) [1]. s_uu
+    (n_frequency, n_input, n_input) [N^2/Hz], s_yu (n_frequency, n_output, n_input), s_yy (n_frequency,
     n_output, n_output). Equation (frf-coherence).
     """
     return coherence_by_power(np.einsum("fii->fi", s_uu).real, s_yu, s_yy)
@@ -139,9 +132,7 @@ def coherence_by_power(force_power: FloatArray, s_yu: ComplexArray, s_yy: Comple
 
 def multiple_coherence(h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
     """gamma^2 = H1 S_uy / S_yy per output, (n_frequency, n_output) [1], the share of H1 = S_yu S_uu^-1,
-    (n_frequency, n_output, n_input).
-
-    Spectra as in ordinary_coherence. Equation (frf-multiple-coherence).
+    (n_frequency, n_output, n_input). Spectra as in ordinary_coherence. Equation (frf-multiple-coherence).
     """
     return _clip(_explained_power(h1, s_yu), np.einsum("foo->fo", s_yy).real)
 
@@ -150,12 +141,10 @@ def partial_coherence(
     inverse_force: FloatArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray
 ) -> FloatArray:
     """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output,
-    n_input) [1].
-
-    gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that output (Bendat and
-    Piersol, Random Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu = S_uu^-1 + q H1^H H1
-    with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1, (n_frequency, n_input) [Hz/N^2];
-    the other arguments as in multiple_coherence. Equation (frf-partial-coherence).
+    n_input) [1]. gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that
+    output (Bendat and Piersol, Random Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu =
+    S_uu^-1 + q H1^H H1 with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1, (n_frequency,
+    n_input) [Hz/N^2]; the other arguments as in multiple_coherence. Equation (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained_power(h1, s_yu)
     explained = _square(h1)
@@ -189,11 +178,9 @@ LEAST_CHANCE = 1e-12
 
 @dataclass(frozen=True)
 class Reciprocity:
-    """H from dof *second* (force) to *first* (response) against the reverse.
-
-    ratio (n_frequency,) [1]: |H_ij - H_ji|^2 over its variance, 1 on average where reciprocity holds;
-    difference [1]: rms of |H_ij - H_ji| over the rms of both; p_value: probability of a mean ratio at least
-    as large where reciprocity holds.
+    """H from dof *second* (force) to *first* (response) against the reverse. ratio (n_frequency,) [1]: |H_ij
+    - H_ji|^2 over its variance, 1 on average where reciprocity holds; difference [1]: rms of |H_ij - H_ji|
+    over the rms of both; p_value: probability of a mean ratio at least as large where reciprocity holds.
     """
 
     first: str
@@ -205,9 +192,7 @@ class Reciprocity:
 
 def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
     """All pairs of dofs with both a response and a force; DataError without covariance or without such a
-    pair.
-
-    var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response. Equation
+    pair. var(H_ij - H_ji) = C_pp + C_qq - 2 Re C_pq, from the covariance of the response. Equation
     (frf-reciprocity).
     """
     if response.variance is None:
@@ -225,9 +210,8 @@ def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
 
 
 def reciprocity_findings(response: FrequencyResponse) -> tuple[Finding, ...]:
-    """Notes on the pairs of dofs both excited and measured, the least reciprocal first.
-
-    None where reciprocity cannot be tested.
+    """Notes on the pairs of dofs both excited and measured, the least reciprocal first. None where
+    reciprocity cannot be tested.
     """
     try:
         pairs = sorted(reciprocity(response), key=lambda pair: (pair.p_value, -pair.difference))
@@ -266,9 +250,8 @@ def _pair(
 
 def _p_value(normal: ComplexArray, dof: float) -> float:
     """P(mean ratio at least as large): a gamma distribution with the mean and variance of averaged F(2, 2
-    dof) ratios.
-
-    Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e of n_e = n / (1 + 2 sum |r_k|^2) lines.
+    dof) ratios. Mean dof/(dof-1), variance dof^3 / ((dof-1)^2 (dof-2)) / n_e of n_e = n / (1 + 2 sum |r_k|^2)
+    lines.
     """
     if dof <= 2:
         raise DataError(
@@ -299,9 +282,8 @@ MOST_POWER = 0.1
 
 
 class AliasingMonitor(DerivedRecording):
-    """A recording that accumulates the power spectrum of its channels while its blocks are read.
-
-    Satisfies SampleSource.
+    """A recording that accumulates the power spectrum of its channels while its blocks are read. Satisfies
+    SampleSource.
     """
 
     def __init__(self, source: SampleSource, hits: bool = False) -> None:
@@ -326,10 +308,8 @@ class AliasingMonitor(DerivedRecording):
 
     def powers(self, band: tuple[float, float] | None) -> FloatArray:
         """Mean power per line above and inside the band, (2, n_channel) [unit^2]; 0 without complete segments
-        or lines to compare.
-
-        "Above": between TOP_SHARE of half the sampling rate (or the band's upper edge) and half the sampling
-        rate.
+        or lines to compare. "Above": between TOP_SHARE of half the sampling rate (or the band's upper edge)
+        and half the sampling rate.
         """
         half = self.sample_rate / 2
         frequency = np.arange(self._power.shape[0]) * (self.sample_rate / self._n)
@@ -345,11 +325,9 @@ class AliasingMonitor(DerivedRecording):
 def aliasing_findings(
     sources: Sequence[AliasingMonitor], band: tuple[float, float] | None, channels: Collection[str]
 ) -> tuple[Finding, ...]:
-    """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth of
-    that in the band.
-
-    Components above half the sampling rate fold back to just below it first. The powers of all recordings are
-    added: an output that a force does not excite holds noise only.
+    """Warnings for *channels* with aliasing: power density just below half the sampling rate above a tenth
+    of that in the band. The powers of all recordings are added: an output that a force does not excite
+    holds noise only.
     """
     total: dict[str, FloatArray] = {}
     for source in sources:

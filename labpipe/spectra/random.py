@@ -33,7 +33,7 @@ from labpipe.spectra.covariance import (
 )
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
-from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
+from labpipe.spectra.ports import Layout, Parts, at_columns, coherence_findings, lines_left
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
@@ -45,17 +45,14 @@ def h1(
     s_yy: ComplexArray,  # noqa: ARG001 (one signature for the whole table)
 ) -> ComplexArray:
     """H1 = S_yu S_uu^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the
-    outputs.
-
-    Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular S_uu.
-    Equation (frf-h1).
+    outputs. Spectra as in the module's docstring [unit^2/Hz]. Raises numpy.linalg.LinAlgError for a singular
+    S_uu. Equation (frf-h1).
     """
     return product(s_yu, definite_inverse(s_uu)[0])
 
 
 def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:  # noqa: ARG001
     """H2 = S_yy S_uy^-1, (n_frequency, n_output, n_input) [output unit / N]: unbiased by noise on the forces.
-
     Spectra as in the module's docstring [unit^2/Hz]. ConfigError unless there are as many outputs as forces;
     numpy.linalg.LinAlgError for a singular S_uy. Equation (frf-h2).
     """
@@ -66,10 +63,8 @@ def h2(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArr
 
 def hv(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> ComplexArray:
     """Hv, total least squares per output, (n_frequency, n_output, n_input) [output unit / N]: noise on forces
-    and output alike.
-
-    Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its own power at the
-    line, so that the result does not depend on units. Equation (frf-hv).
+    and output alike. Spectra as in the module's docstring [unit^2/Hz]. Each channel is first divided by its
+    own power at the line, so that the result does not depend on units. Equation (frf-hv).
     """
     n_input = s_uu.shape[1]
     force_scale = np.sqrt(np.einsum("fii->fi", s_uu).real)
@@ -134,9 +129,8 @@ Halved = tuple[CrossSpectra, CrossSpectra | None]
 
 
 def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArray, bool]]:
-    """The *blocks* (n, n_channel) [any unit] in order, cut so that one ends before sample *middle*.
-
-    True for that one.
+    """The *blocks* (n, n_channel) [any unit] in order, cut so that one ends before sample *middle*. True for
+    that one.
     """
     start = 0
     for block in blocks:
@@ -151,10 +145,8 @@ def cut_at(blocks: Iterable[FloatArray], middle: int) -> Iterator[tuple[FloatArr
 
 def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexArray:
     """Cross-spectra of all channels (n_line, n_channel, n_channel) [unit^2/Hz], recordings weighted by their
-    numbers of blocks.
-
-    Or (n_line, n_channel, n_input), where they are those of all channels with the forces that act in each
-    recording.
+    numbers of blocks. Or (n_line, n_channel, n_input), where they are those of all channels with the forces
+    that act in each recording.
     """
     if len(spectra) == 1:
         return _pad(layout, 0, spectra[0].matrix)
@@ -163,7 +155,6 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
 
 
 def _shares(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
-    """What each recording adds to joined_spectra."""
     n_block = sum(spectrum.n_block for spectrum in spectra)
     return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
@@ -185,11 +176,7 @@ def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
         return layout.padded(recording, matrix, 2)
     rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
     acting = np.array(layout.input_columns[recording]) >= 0
-    if np.all(acting):
-        return rows
-    padded = np.zeros((*rows.shape[:2], acting.size), np.complex128)
-    padded[:, :, acting] = rows
-    return padded
+    return at_columns(rows, np.where(acting, np.cumsum(acting) - 1, -1).tolist(), 1)
 
 
 def change_of_random(
@@ -200,10 +187,9 @@ def change_of_random(
     least: float,
 ) -> ComplexArray | None:
     """H of the second half of all records less that of the first, (n_line, n_output, n_input) [output unit /
-    N], at the *chosen* lines.
-
-    *response_of*: H of the spectra (n_line, n_channel, n_channel) [unit^2/Hz] of the layout's channels. None
-    where a half has no more than *least* averages, too few for the noise of an FRF of so many forces.
+    N], at the *chosen* lines. *response_of*: H of the spectra (n_line, n_channel, n_channel) [unit^2/Hz] of
+    the layout's channels. None where a half has no more than *least* averages, too few for the noise of an
+    FRF of so many forces.
     """
     first = [half for _, half in halved if half is not None]
     if len(first) < len(halved) or min(half.averages for half in first) <= least:
@@ -240,9 +226,8 @@ def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], Compl
 
 
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF from Welch averages of all recordings, or by local polynomials.
-
-    DataError for recordings or forces that do not allow one.
+    """The FRF from Welch averages of all recordings, or by local polynomials. DataError for recordings or
+    forces that do not allow one.
     """
     if settings.local == "polynomial":
         return local_parts(sources, settings, layout)
@@ -266,9 +251,8 @@ def parts_of_spectra(
     spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0
 ) -> Parts:
     """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over
-    *half_width* lines around.
-
-    DataError when the forces, or the outputs an estimator inverts, are not independent.
+    *half_width* lines around. DataError when the forces, or the outputs an estimator inverts, are not
+    independent.
     """
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
@@ -373,9 +357,8 @@ def welch_average(
     source: SampleSource, settings: FrfSettings, of_half: Sequence[int] | None = None
 ) -> Halved:
     """Spectra of forces, responses and the named references of a recording, and those of its first half;
-    DataError where it is short.
-
-    *of_half*: channels of the recording whose columns are needed of its first half, by default all.
+    DataError where it is short. *of_half*: channels of the recording whose columns are needed of its first
+    half, by default all.
     """
     # Other references (tacho, temperature) are not part of the FRF matrix.
     columns = [
@@ -396,28 +379,18 @@ def welch_average(
 
 
 def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) -> CrossSpectra:
-    """The spectra with zeros for the other channels."""
-    if len(columns) == n_channel:
-        return spectra
-    n_line, _, n_column = spectra.matrix.shape
-    rows = np.zeros((n_line, n_channel, n_column), np.complex128)
-    rows[:, columns] = spectra.matrix
-    if n_column < len(columns):
-        return replace(spectra, matrix=rows)
-    matrix = np.zeros((n_line, n_channel, n_channel), np.complex128)
-    matrix[:, :, columns] = rows
-    return replace(spectra, matrix=matrix)
+    places = [columns.index(number) if number in columns else -1 for number in range(n_channel)]
+    rows = at_columns(spectra.matrix.swapaxes(1, 2), places, 1).swapaxes(1, 2)
+    return replace(spectra, matrix=rows if rows.shape[2] < len(columns) else at_columns(rows, places, 1))
 
 
 def parts_of_single_forces(
     spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout, half_width: int = 0
 ) -> Parts:
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
-    numbers of blocks.
-
-    The noise of the responses, S_yy - H S_uy, is that of all recordings, averaged over *half_width* lines
-    around, and raised or lowered where a force's own recordings have another level. DataError for a force
-    without power.
+    numbers of blocks. The noise of the responses, S_yy - H S_uy, is that of all recordings, averaged over
+    *half_width* lines around, and raised or lowered where a force's own recordings have another level.
+    DataError for a force without power.
     """
     power, s_yu, s_yy, by_force = _sum(spectra, chosen, layout)
     quality.check_power(power)
@@ -426,10 +399,13 @@ def parts_of_single_forces(
     covariance: StoredCovariance = None
     if averages > n_input + 1:
         residual = without_rounding(s_yy - response @ hermitian(s_yu))
+        of_force = np.array([spectrum.averages for spectrum in spectra]) @ (
+            np.array(layout.input_columns) >= 0
+        )
         covariance = _covariance(
             pooled_residual(residual, response, half_width),
             power * (averages - n_input),
-            noise_levels(by_force - np.abs(s_yu) ** 2 / power[:, None], _averages_of(spectra, layout) - 1),
+            noise_levels(by_force - np.abs(s_yu) ** 2 / power[:, None], of_force - 1),
         )
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
@@ -460,15 +436,9 @@ def _sum(
     return power, s_yu, s_yy, by_force
 
 
-def _averages_of(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
-    acting = np.array(layout.input_columns) >= 0
-    return np.asarray(np.array([spectrum.averages for spectrum in spectra]) @ acting)
-
-
 def _covariance(residual: ComplexArray, power: FloatArray, levels: FloatArray) -> BlockCovariance:
-    """cov(H_oi, H_pi) = S_rr[o, p] sqrt(g_oi g_pi) / power_i, a block for every force.
-
-    *power* (n_line, n_input) [N^2/Hz] times degrees of freedom; *levels* g (n_output, n_input) [1].
+    """cov(H_oi, H_pi) = S_rr[o, p] sqrt(g_oi g_pi) / power_i, a block for every force. *power* (n_line,
+    n_input) [N^2/Hz] times degrees of freedom; *levels* g (n_output, n_input) [1].
     """
     n_output, n_input = residual.shape[1], power.shape[1]
     elements = np.arange(n_output * n_input).reshape(n_output, n_input).T

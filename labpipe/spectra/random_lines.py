@@ -37,11 +37,8 @@ SILENT = 2.0
 def check_moved(
     strength: FloatArray, frequency: FloatArray, injected: Sequence[str], forces: Sequence[str]
 ) -> None:
-    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength* (n_line,)
-    [1] at *frequency* [Hz].
-
-    On such a line the ratio to the force is one of noise to noise, so that not even many of them are left out
-    of a fit by their weight.
+    """DataError where what is *injected* does not move the *forces* beyond their noise; *strength*
+    (n_line,) [1] at *frequency* [Hz].
     """
     share = float(np.mean(strength < SILENT))
     if share <= POOR_SHARE:
@@ -79,10 +76,8 @@ def snr_findings(
     vectors: ComplexArray, covariance: ComplexArray, channels: Sequence[Channel], excited: BoolArray
 ) -> tuple[tuple[Finding, ...], set[str]]:
     """Warnings where noise is large, and the names of the outputs among them; *vectors* and *covariance* [SI]
-    as in MeasuredLines.
-
-    Of forces line by line where they act, *excited* (n_line, n_run, n_channel), of responses in power over
-    band and runs.
+    as in MeasuredLines. Of forces line by line where they act, *excited* (n_line, n_run, n_channel), of
+    responses in power over band and runs.
     """
     size = np.abs(vectors)
     noise = np.sqrt(np.maximum(np.einsum("lrcc->lrc", covariance).real, 0.0))
@@ -115,9 +110,8 @@ def random_lines(
     sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout
 ) -> MeasuredLines:
     """The part of all channels that is due to each drive, one run per drive, as amplitudes of a line as wide
-    as a block's.
-
-    DataError without recorded drives, for drives that are not independent, and for too few blocks.
+    as a block's. DataError without recorded drives, for drives that are not independent, and for too few
+    blocks.
     """
     drives = _drives(sources, settings, layout)
     spectra = [_welch(source, settings, layout, number, drives) for number, source in enumerate(sources)]
@@ -138,7 +132,12 @@ def random_lines(
     transform = layout.transform(frequency)
     s_zr = transform @ matrix[:, :n, n:]
     s_zz = transform @ matrix[:, :n, :n] @ hermitian(transform)
-    columns, residual = due_to_drives(s_zz, s_zr, lower, averages)
+    columns, left = due_to_drives(s_zz, s_zr, lower, averages)
+    residual, share = left, weights / weights.sum() @ (np.array(layout.columns) >= 0)
+    if np.any(share < 1):
+        # Recordings without a channel are zeros in the mean, which is the noise of the others.
+        recorded = due_to_drives(matrix[:, :n, :n], matrix[:, :n, n:], lower, averages)[1]
+        residual = transform @ (recorded / np.sqrt(np.outer(share, share))) @ hermitian(transform)
     # The amplitude, 0 to peak, of the lines of one block.
     assert settings.block is not None
     width = 2 / settings.block
@@ -166,17 +165,15 @@ def random_lines(
         dof=averages - n_drive,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
         blocks=blocks_of(spectra, settings, "H1"),
-        findings=(*findings, *_unexplained_findings(s_zz, residual, layout), *fed_back),
+        findings=(*findings, *_unexplained_findings(s_zz, left, layout), *fed_back),
         weak=weak,
     )
 
 
 def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> tuple[str, ...]:
     """The names of the drives: those of `reference`, else all voltages and currents of role reference;
-    DataError where there are none.
-
-    ConfigError where more of them stand beside fewer forces: a command that the loop makes is no drive, and
-    only its user knows it.
+    DataError where there are none. ConfigError where more of them stand beside fewer forces: a command that
+    the loop makes is no drive, and only its user knows it.
     """
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
@@ -238,19 +235,16 @@ def due_to_drives(
     s_zz: ComplexArray, s_zr: ComplexArray, lower: ComplexArray, averages: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """W = S_zr L^-H (n_line, n, n_drive) and the noise (S_zz - W W^H) n / (n - n_drive) (n_line, n, n)
-    [unit^2/Hz], n *averages*.
-
-    s_zz (n_line, n, n), s_zr (n_line, n, n_drive) [unit^2/Hz] of channels and drives, *lower* L of the drives
-    (n_line, n_drive, n_drive). Equation (frf-due-to-drives).
+    [unit^2/Hz], n *averages*. s_zz (n_line, n, n), s_zr (n_line, n, n_drive) [unit^2/Hz] of channels and
+    drives, *lower* L of the drives (n_line, n_drive, n_drive). Equation (frf-due-to-drives).
     """
     columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
     return columns, (s_zz - columns @ hermitian(columns)) * (averages / (averages - lower.shape[1]))
 
 
 def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "drive") -> ComplexArray:
-    """L of S_rr = L L^H (n_line, n_drive, n_drive) [unit^2/Hz].
-
-    DataError where a drive is silent or follows from the others.
+    """L of S_rr = L L^H (n_line, n_drive, n_drive) [unit^2/Hz]. DataError where a drive is silent or follows
+    from the others.
     """
     power = np.einsum("lrr->lr", s_rr).real
     if np.any(power <= 0):

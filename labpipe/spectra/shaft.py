@@ -16,15 +16,13 @@ from labpipe.spectra.settings import ShaftLines
 # upper one.
 LOW_SHARE, HIGH_SHARE = 0.4, 0.6
 
-# Revolutions over which the speed is averaged.
 STRETCH = 10
 
 
 @dataclass(frozen=True)
 class ShaftMotion:
-    """Revolutions (n,) [1] counted at times (n,) [s], both ascending.
-
-    Constant speed between them and beyond the ends.
+    """Revolutions (n,) [1] counted at times (n,) [s], both ascending. Constant speed between them and beyond
+    the ends.
     """
 
     times: FloatArray
@@ -32,9 +30,7 @@ class ShaftMotion:
 
     def angle(self, time: FloatArray) -> FloatArray:
         """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given
-        speed).
-
-        Equation (spec-angle).
+        speed). Equation (spec-angle).
         """
         inner = np.interp(time, self.times, self.revolutions)
         first, last = self.speeds[[0, -1]]
@@ -67,9 +63,8 @@ def steady(speed: float, duration: float) -> ShaftMotion:
 
 
 def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
-    """The shaft's motion in a recording.
-
-    DataError when the tacho channel is missing or has fewer than two pulses.
+    """The shaft's motion in a recording. DataError when the tacho channel is missing or has fewer than two
+    pulses.
     """
     if lines.tacho is None:
         assert lines.speed is not None
@@ -98,10 +93,8 @@ def at_rest(source: SampleSource, lines: ShaftLines) -> bool:
 
 def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
     """Times (n_pulse,) [s] at which the tacho rises through the middle of its range, interpolated linearly
-    between samples.
-
-    With hysteresis: a rise counts after the signal has been in the lower and then in the upper part.
-    DataError for a missing channel or one that does not vary.
+    between samples. With hysteresis: a rise counts after the signal has been in the lower and then in the
+    upper part. DataError for a missing channel or one that does not vary.
     """
     names = [record.name for record in source.channels]
     if channel not in names:

@@ -35,9 +35,7 @@ def design(frequency: float, n_sample: int) -> FloatArray:
 
 def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
     """X (n_channel,) of x = Re(X exp(j 2 pi f n)) + offset by least squares in *samples* (n_sample,
-    n_channel) [unit of the channel].
-
-    Equation (spec-sine).
+    n_channel) [unit of the channel]. Equation (spec-sine).
     """
     factors = np.linalg.lstsq(design(frequency, samples.shape[0]), samples, rcond=None)[0]
     amplitude: ComplexArray = factors[0] + 1j * factors[1]
@@ -46,10 +44,9 @@ def amplitudes(samples: FloatArray, frequency: float) -> ComplexArray:
 
 def sine_frequency(signal: FloatArray, frequency: float) -> float:
     """Frequency [periods per sample] of a sine with offset in white noise, by least squares (n_sample,) [any
-    unit] from a first guess.
-
-    Its variance is the bound of Cramer and Rao, 6 s^2 / (pi^2 A^2 N^3) [periods^2 per sample^2] for the
-    amplitude A and the noise s (Rife and Boorstyn 1974, IEEE Trans. Inf. Theory 20, for large N).
+    unit] from a first guess. Its variance is the bound of Cramer and Rao, 6 s^2 / (pi^2 A^2 N^3) [periods^2
+    per sample^2] for the amplitude A and the noise s (Rife and Boorstyn 1974, IEEE Trans. Inf. Theory 20, for
+    large N).
     """
     n = signal.size
     time = np.arange(n) - (n - 1) / 2
@@ -65,9 +62,7 @@ def sine_frequency(signal: FloatArray, frequency: float) -> float:
 
 def block_amplitudes(samples: FloatArray, frequency: float, length: float, count: int) -> ComplexArray:
     """X (count, n_channel) [unit of the channel] in blocks of *length* samples one after the other, of
-    *samples* (n_sample, n_channel).
-
-    Their phase is that of the first sample of all.
+    *samples* (n_sample, n_channel). Their phase is that of the first sample of all.
     """
     edges = np.minimum(np.round(np.arange(count + 1) * length).astype(np.int64), samples.shape[0])
     sizes = np.diff(edges)
@@ -81,9 +76,7 @@ def block_amplitudes(samples: FloatArray, frequency: float, length: float, count
 
 def frequency_variance(signal: FloatArray, frequency: float) -> float:
     """The bound of Cramer and Rao on the variance of sine_frequency [periods^2 per sample^2], of a *signal*
-    (n_sample,) [any unit].
-
-    Equation (spec-sine-variance).
+    (n_sample,) [any unit]. Equation (spec-sine-variance).
     """
     n = signal.size
     basis = design(frequency, n)
@@ -128,11 +121,10 @@ class Course:
 
 def settle_time(courses: Sequence[Course]) -> float:
     """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
-    where none is seen.
-
-    What exceeds the noise, summed over dwells and channels, S_1 exp(-2 (t - t_1) / tau), is seen up to t_1
-    and continued from there; of a/s standard deviations of a block a tau / (n T) is left in the mean of n.
-    DataError when the transient outlasts the dwells, and without a dwell. Equation (frf-settle).
+    where none is seen. What exceeds the noise, summed over dwells and channels, S_1 exp(-2 (t - t_1) / tau),
+    is seen up to t_1 and continued from there; of a/s standard deviations of a block a tau / (n T) is left in
+    the mean of n. DataError when the transient outlasts the dwells, and without a dwell. Equation
+    (frf-settle).
     """
     if not courses:
         raise DataError(
@@ -158,19 +150,17 @@ def settle_time(courses: Sequence[Course]) -> float:
 
 
 def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean time [s], excess over dwells and channels, and its error under noise, of each bin."""
-    total, variance = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
-    when, count = np.zeros(edges.size - 1), np.zeros(edges.size - 1)
+    n_bin = edges.size - 1
+    total, variance, when, count = np.zeros((4, n_bin))
     for course in courses:
-        place = np.minimum(np.searchsorted(edges, course.times, side="right") - 1, edges.size - 2)
-        number = np.bincount(place, minlength=edges.size - 1)
-        some = number > 0
-        deviation = course.deviation()
-        sums = np.bincount(place, deviation.sum(axis=1), minlength=edges.size - 1)
-        total[some] += sums[some] / number[some]
+        place = np.minimum(np.searchsorted(edges, course.times, side="right") - 1, n_bin - 1)
+        number = np.bincount(place, minlength=n_bin)
+        deviation, at_least_one = course.deviation(), np.maximum(number, 1)
+        total += np.bincount(place, deviation.sum(axis=1), n_bin) / at_least_one
         # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom.
-        variance[some] += deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0]) / number[some]
-        when += np.bincount(place, course.times, minlength=edges.size - 1)
+        of_block = deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0])
+        variance += np.where(number > 0, of_block / at_least_one, 0.0)
+        when += np.bincount(place, course.times, n_bin)
         count += number
     some = count > 0
     return when[some] / count[some], total[some], np.sqrt(variance[some])
@@ -206,9 +196,8 @@ SINE_SHARE, LEAST_LEVEL = 0.8, 0.01
 @dataclass(frozen=True)
 class Line:
     """A dwell evaluated: *frequency* [Hz] and its variance [Hz^2], *duration* [s] of what is used, complex
-    degrees of freedom *dof*.
-
-    mean (n_channel,) [unit of the channel], its covariance *noise* (n_channel, n_channel) [unit^2].
+    degrees of freedom *dof*. mean (n_channel,) [unit of the channel], its covariance *noise* (n_channel,
+    n_channel) [unit^2].
     """
 
     frequency: float
@@ -220,10 +209,9 @@ class Line:
 
 
 def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
-    """The FRF H = Y pinv(U) at the frequencies at which every recording dwells.
-
-    DataError when a recording has no dwells, when one is too short, when the recordings have no frequency in
-    common, or when the forces are not independent. Equation (frf-stepped).
+    """The FRF H = Y pinv(U) at the frequencies at which every recording dwells. DataError when a recording
+    has no dwells, when one is too short, when the recordings have no frequency in common, or when the forces
+    are not independent. Equation (frf-stepped).
     """
     measured = [
         _lines(source, settings, layout.input_columns[number], layout.output_columns[number])
@@ -273,7 +261,6 @@ def _of_frequency(
 
 
 def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
-    """Noise of the means, its density averaged over *half_width* lines to either side."""
     duration = np.array([line.duration for line in lines])[:, None, None]
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
@@ -361,7 +348,6 @@ def _settle_of_force(courses: list[Course], otherwise: float) -> float:
 
 
 def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Settling, force: int) -> Line:
-    """The amplitudes of one dwell after its transient, relative to the phase of the force."""
     rate = source.sample_rate
     start = dwell.start + settling.samples(settling.responses, dwell, rate)
     # The last period may hold the beginning of the next step.

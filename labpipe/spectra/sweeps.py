@@ -14,7 +14,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.spectra.damping import HalfPower, half_power
 
-# Fewest periods of one frequency that count as a dwell.
 LEAST_PERIODS = 5
 # A zero crossing counts once the force has been below this share of its local peak.
 HYSTERESIS = 0.3
@@ -33,9 +32,8 @@ CURVED = 4.0
 
 @dataclass(frozen=True)
 class Dwell:
-    """Samples *start* ...
-
-    *stop* (not included), first and last zero crossing, of a sine of about *frequency* [periods per sample].
+    """Samples *start* ... *stop* (not included), first and last zero crossing, of a sine of about *frequency*
+    [periods per sample].
     """
 
     start: int
@@ -44,11 +42,9 @@ class Dwell:
 
 
 def find_dwells(force: FloatArray) -> list[Dwell]:
-    """The dwells in a force (n_sample,) [N], in their order in time.
-
-    The phase of the force, known at its zero crossings, is a broken line over time: every straight piece of
-    LEAST_PERIODS periods or more is a dwell. DataError for a force that is no sine, without dwells, or whose
-    frequency runs on.
+    """The dwells in a force (n_sample,) [N], in their order in time. The phase of the force, known at its
+    zero crossings, is a broken line over time: every straight piece of LEAST_PERIODS periods or more is a
+    dwell. DataError for a force that is no sine, without dwells, or whose frequency runs on.
     """
     times = rising_crossings(force - np.mean(force))
     if times.size <= LEAST_PERIODS:
@@ -114,7 +110,6 @@ def _scatter(times: FloatArray) -> float:
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
-    """Ranges (first, end) of crossings on one straight line each."""
     pieces, first = [], 0
     line = _Line()
     for number, time in enumerate(times):
@@ -221,10 +216,9 @@ _SWEEP_HINT = "sweep: a sine whose frequency runs steadily up or down; is it ano
 @dataclass(frozen=True)
 class FoundSweep:
     """Samples *start* ... *stop* (not included) of a sweep from *first* to *last* [periods per sample]; *law*
-    linear or logarithmic.
-
-    growth: |df/dt| [periods per sample^2] of a linear, |d ln f / dt| [1 per sample] of a logarithmic one;
-    level: its rms [unit of the force]; steps: whether its frequency stays and jumps instead of running.
+    linear or logarithmic. growth: |df/dt| [periods per sample^2] of a linear, |d ln f / dt| [1 per sample] of
+    a logarithmic one; level: its rms [unit of the force]; steps: whether its frequency stays and jumps
+    instead of running.
     """
 
     start: int
@@ -259,9 +253,8 @@ class FoundSweep:
 
 
 def find_sweeps(force: FloatArray) -> list[FoundSweep]:
-    """The sweeps in a force (n_sample,) [N], in their order in time.
-
-    DataError for a force without, or with dwells in their place.
+    """The sweeps in a force (n_sample,) [N], in their order in time. DataError for a force without, or with
+    dwells in their place.
     """
     force = force - np.mean(force)
     times = rising_crossings(force)
@@ -299,7 +292,6 @@ def _runs(times: FloatArray) -> list[tuple[int, int]]:
 
 
 def _one_way(times: FloatArray, offset: int) -> list[tuple[int, int]]:
-    # Running median; the values at the ends are repeated.
     padded = np.pad(-np.log(np.diff(times)), AT_END // 2, mode="edge")
     level = np.median(np.lib.stride_tricks.sliding_window_view(padded, AT_END), axis=1)
     wide = float(np.ptp(level))
@@ -354,7 +346,6 @@ def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
 
 
 def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Times [samples] and frequencies [periods per sample] between neighbouring crossings of a run."""
     middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
     return middle, np.concatenate([1 / np.diff(times) for times in run])
 
@@ -397,7 +388,6 @@ def _follows(window: FloatArray, low: float, high: float, level: float) -> bool:
 
 
 def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
-    """The sweep with zero crossings at the pieces of a *run*."""
     times = np.concatenate(run)
     middle, frequency = _course(run)
     lines = {law: np.polyfit(middle, there(frequency), 1) for law, (there, _) in LAWS.items()}
@@ -412,10 +402,8 @@ def _sweep(force: FloatArray, run: Sequence[FloatArray]) -> FoundSweep:
 
 def _stays(frequency: FloatArray, middle: FloatArray, law: FloatArray) -> bool:
     """Whether a *frequency* (n,) [periods per sample] at times *middle* (n,) [samples] keeps its value and
-    jumps where its *law* (n,) runs.
-
-    The slope over a few periods, over that of the law: its median is 1 for a sweep, 0 for a stepped sine,
-    whatever the noise.
+    jumps where its *law* (n,) runs. The slope over a few periods, over that of the law: its median is 1 for a
+    sweep, 0 for a stepped sine, whatever the noise.
     """
     width = AT_END
     while frequency.size // width >= LEAST_WINDOWS:
@@ -463,8 +451,6 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
     return list(zip(starts, [*starts[1:], n_sample], strict=True))
 
 
-# How fast a resonance is swept: against the rule of ISO 7626-2, and against what the record resolves.
-
 # Lines in the half-power width that show a resonance at all; those that tell its leakage from its response:
 # with half as many the damping was off by up to half its standard error.
 FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
@@ -474,10 +460,8 @@ CLEAR_PEAK, CLEAR_LINES = 0.98, 5
 
 def largest_rate(frequency: float, damping_ratio: float) -> float:
     """Sweep rate [Hz/s] up to which a resonance at *frequency* [Hz] reaches its steady amplitude: 216 f_n^2
-    zeta^2 Hz/min.
-
-    ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2 octaves/min of a
-    logarithmic sweep are the same rate at f_n. Equation (frf-sweep-rate).
+    zeta^2 Hz/min. ISO 7626-2 for a linear sweep, as in Ewins, Modal Testing, sec. 3.7; its 310 f_n zeta^2
+    octaves/min of a logarithmic sweep are the same rate at f_n. Equation (frf-sweep-rate).
     """
     return 216.0 / 60 * frequency**2 * damping_ratio**2
 
@@ -493,7 +477,6 @@ def rate_findings(
     leaking: bool,
 ) -> tuple[Finding, ...]:
     """The highest resonance of each FRF that is swept faster than ISO 7626-2 allows: the one that is most so.
-
     A note where the record holds all that rings; a warning where the lines are too coarse for the resonance,
     or, when *leaking*, for its leakage. frequency (n_line,) [Hz], matrix (n_line, n_output, n_input) [any
     unit]; *rate* of sampling [Hz]; *n_sample* of a block; *coherence* (n_line, n_output) [1]: a peak of noise

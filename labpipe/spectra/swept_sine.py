@@ -65,10 +65,9 @@ class _Swept:
 @dataclass(frozen=True)
 class _Spectra:
     """Transforms *blocks* (n_block, n_line, n_channel) [unit of the channel] of all sweeps, forces first, on
-    *frequency* (n_line,) [Hz].
-
-    local: noise and leakage of the same lines by a local fit; leaking: whether leakage was found, and taken
-    out of the responses; hidden: power (n_line, n_output) [unit^2] of what may be left of it in a block.
+    *frequency* (n_line,) [Hz]. local: noise and leakage of the same lines by a local fit; leaking: whether
+    leakage was found, and taken out of the responses; hidden: power (n_line, n_output) [unit^2] of what may
+    be left of it in a block.
     """
 
     frequency: FloatArray
@@ -90,11 +89,9 @@ class _Spectra:
 
 def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) from transforms of every sweep with all that rings after it, on the lines that
-    all of them pass.
-
-    Leakage of a response that has not come to rest is estimated by a local rational fit and taken out.
-    DataError for recordings without sweeps, with fewer sweeps than forces, or without a band in common.
-    Equation (frf-sweep).
+    all of them pass. Leakage of a response that has not come to rest is estimated by a local rational fit and
+    taken out. DataError for recordings without sweeps, with fewer sweeps than forces, or without a band in
+    common. Equation (frf-sweep).
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
@@ -110,7 +107,6 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     blocks = np.concatenate(
         [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
     )
-    # What every sweep passes.
     band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
     if band[0] >= band[1]:
         raise DataError("the sweeps have no band in common", hint="one test for each band")
@@ -162,9 +158,7 @@ def _common_length(swept: Sequence[_Swept]) -> int:
 
 def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
     """DFT of every sweep and what follows it, (n_block, n_line, n_channel), lines above 0 Hz and below half
-    the rate.
-
-    What ends before *n_sample* is followed by zeros: what rings on there is leakage.
+    the rate. What ends before *n_sample* is followed by zeros: what rings on there is leakage.
     """
     blocks = np.zeros((len(swept.cuts), n_sample, swept.samples.shape[1]))
     for block, (start, stop) in zip(blocks, swept.cuts, strict=True):
@@ -226,7 +220,6 @@ def _in_band(
 
 
 def _driven_lines(forces: ComplexArray) -> BoolArray:
-    """Lines at which every force has its usual level of the lines around, or not much less."""
 
     level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
     usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
@@ -236,9 +229,8 @@ def _driven_lines(forces: ComplexArray) -> BoolArray:
 def _without_leakage(
     spectra: _Spectra, n_input: int, ends: Sequence[_End]
 ) -> tuple[_Spectra, tuple[Finding, ...]]:
-    """The spectra without the leakage of their responses where there is some, and a note on it.
-
-    A sweep at the very end of a record looks like leakage itself: its lines keep it, in their noise.
+    """The spectra without the leakage of their responses where there is some, and a note on it. A sweep at
+    the very end of a record looks like leakage itself: its lines keep it, in their noise.
     """
     local = spectra.local
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
@@ -303,9 +295,8 @@ def _ends(swept: Sequence[_Swept], rate: float) -> list[_End]:
 
 
 def _of_ends(spectra: _Spectra, n_input: int, ends: Sequence[_End]) -> FloatArray:
-    """Power (n_line, n_output) [unit^2] of the leakage of a steady sine that ends with the block.
-
-    (H(w) - H(w_end)) u / 2 over w - w_end: what a response still owes to its force. Of one force only.
+    """Power (n_line, n_output) [unit^2] of the leakage of a steady sine that ends with the block. (H(w) -
+    H(w_end)) u / 2 over w - w_end: what a response still owes to its force. Of one force only.
     """
     power = np.zeros((spectra.frequency.size, spectra.blocks.shape[2] - n_input))
     if n_input > 1:
@@ -375,10 +366,8 @@ def _parts(spectra: _Spectra, layout: Layout) -> Parts:
 
 def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[ComplexArray, float, int]:
     """Noise (n_line, n_output, n_output) [unit^2] of the responses in one block, its complex degrees of
-    freedom per line, lines it is of.
-
-    residual (n_line, n_output, n_block) [unit] beside the common FRF: nothing is left of it with no more
-    sweeps than forces.
+    freedom per line, lines it is of. residual (n_line, n_output, n_block) [unit] beside the common FRF:
+    nothing is left of it with no more sweeps than forces.
     """
     n_block, local = spectra.blocks.shape[0], spectra.local
     if n_block <= n_input:

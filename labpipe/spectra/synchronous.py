@@ -32,9 +32,8 @@ from labpipe.spectra.windows import hann
 
 
 class WithoutSynchronous(DerivedRecording):
-    """A recording minus its synchronous part; satisfies SampleSource.
-
-    amplitude (n_harmonic, n_channel) complex, 0-to-peak [SI].
+    """A recording minus its synchronous part; satisfies SampleSource. amplitude (n_harmonic, n_channel)
+    complex, 0-to-peak [SI].
     """
 
     def __init__(self, source: SampleSource, motion: ShaftMotion, amplitude: ComplexArray) -> None:
@@ -74,11 +73,8 @@ class WithoutSynchronous(DerivedRecording):
 
 def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
     """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
-    recording.
-
-    The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous averaging
-    (McFadden 1987). A given speed is refined first. DataError for fewer than two revolutions. Equation
-    (spec-synchronous).
+    recording. The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous
+    averaging (McFadden 1987). DataError for fewer than two revolutions. Equation (spec-synchronous).
     """
     motion = _motion(source, lines)
     duration = source.n_sample / source.sample_rate
@@ -99,7 +95,6 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
 
 
 def _motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
-    """The shaft's motion; DataError for harmonics that reach half the sampling rate, and are others there."""
     motion = shaft_motion(source, lines)
     top = lines.harmonics * motion.speed_range[1]
     if top < source.sample_rate / 2:
@@ -124,9 +119,8 @@ def _shares(source: SampleSource, amplitude: ComplexArray) -> FloatArray:
 def shaft_turns(
     motion: ShaftMotion, start: int, n_sample: int, sample_rate: float, n_harmonic: int
 ) -> ComplexArray:
-    """exp(j h theta) of h = 1 ...
-
-    n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at *sample_rate* [Hz].
+    """exp(j h theta) of h = 1 ... n_harmonic, (n_sample, n_harmonic) [1], from sample *start* on at
+    *sample_rate* [Hz].
     """
     angle = motion.angle((start + np.arange(n_sample)) / sample_rate)
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
@@ -180,7 +174,6 @@ def _refine(source: SampleSource, speed: float, stretch: int) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-# Factor by which the stretches grow that refine a speed.
 LONGER = 4
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, which is
 # dropped. It is fitted all the same, down to the smaller share, since it leaks into neighbouring lines.
@@ -207,9 +200,7 @@ class Cleaned:
 
 def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
     """The recording without the harmonics of `remove`; ConfigError and DataError as for the period, the
-    tacho, and a single period.
-
-    Equation (spec-runout).
+    tacho, and a single period. Equation (spec-runout).
     """
     lines = settings.remove
     assert lines is not None and settings.period is not None
@@ -328,9 +319,8 @@ def _refined_between(
     source: SampleSource, motion: ShaftMotion, lines: ShaftLines, settings: FrfSettings, n_sample: int
 ) -> ShaftMotion:
     """A given speed made exact: 1x of the outputs keeps its phase from the first half of the periods to the
-    second.
-
-    With fewer than four periods, and where another speed is not clearly more likely, the given one is kept.
+    second. With fewer than four periods, and where another speed is not clearly more likely, the given one is
+    kept.
     """
     n_period = source.n_sample // n_sample - settings.skip
     half = n_period // 2
@@ -400,10 +390,7 @@ def lines_of_shaft(
     sources: Sequence[SampleSource], settings: FrfSettings, excited: Sequence[FloatArray]
 ) -> tuple[Finding, ...]:
     """Warnings for lines on which a force acts in a recording, *excited* (n_line,) [Hz] of each, that lie on
-    1x or 2x of the shaft by a tacho that no setting names.
-
-    The tacho is taken to give a pulse per
-    revolution.
+    1x or 2x of the shaft by a tacho that no setting names. The tacho is taken to give a pulse per revolution.
     """
     if settings.excitation != "periodic" or settings.mask is not None or settings.remove is not None:
         return ()

@@ -37,19 +37,16 @@ PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 
 
 class SegmentProducts(ABC):
     """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the
-    transform.
-
-    FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines that differ
-    from zero. Equation (spec-trend).
+    transform. FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines
+    that differ from zero. Equation (spec-trend).
     """
 
     def __init__(
         self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int
     ) -> None:
         """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row,
-        n_disturbed): FFT(w b_p) from there.
-
-        *n_together*: segments transformed at once, where memory allows it.
+        n_disturbed): FFT(w b_p) from there. *n_together*: segments transformed at once, where memory allows
+        it.
         """
         self._n, self._lines, self._n_channel, self._trend = window.size, lines, n_channel, trend
         self._room = max(1, min(n_together, MOST_SAMPLES // (window.size * n_channel)))
@@ -86,25 +83,22 @@ class SegmentProducts(ABC):
 
     @abstractmethod
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        """Transform the first *n_segment* that are kept and add their products.
-
-        Coefficients (n_segment, n_row, n_channel).
+        """Transform the first *n_segment* that are kept and add their products. Coefficients (n_segment,
+        n_row, n_channel).
         """
 
     @abstractmethod
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit.
-
-        Of all b, or of *columns*.
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit. Of
+        all b, or of *columns*.
         """
 
 
 def segment_products(
     window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
 ) -> SegmentProducts:
-    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment.
-
-    The other arguments as for SegmentProducts.
+    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment. The other
+    arguments as for SegmentProducts.
     """
     if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
         return PackedProducts(window, lines, n_channel, trend)
@@ -139,10 +133,9 @@ class LineProducts(SegmentProducts):
 
 
 class PackedProducts(SegmentProducts):
-    """Products of Z = FFT(z) of channels in pairs, z_k = x_2k + i x_2k+1, an even number of them.
-
-    X_2k(f) = (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f)
-    Z_m(f)*, Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
+    """Products of Z = FFT(z) of channels in pairs, z_k = x_2k + i x_2k+1, an even number of them. X_2k(f) =
+    (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f) Z_m(f)*,
+    Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
     """
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
@@ -198,9 +191,8 @@ class PackedProducts(SegmentProducts):
 
 
 class RowProducts(SegmentProducts):
-    """Products of matrices line by line, of transforms of two segments each, z = x_1 + i x_2.
-
-    X_1a(f) X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
+    """Products of matrices line by line, of transforms of two segments each, z = x_1 + i x_2. X_1a(f)
+    X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
     """
 
     def __init__(
@@ -310,10 +302,9 @@ def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale:
 
 
 def _matrix_of(sums: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """*scale* times *sums* (n_line, n, n), or their *columns*, Hermitian to the last digit.
-
-    X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later channel's row. A few lines at
-    a time, which stay in the cache; lines are last in memory.
+    """*scale* times *sums* (n_line, n, n), or their *columns*, Hermitian to the last digit. X_a X_b* and (X_b
+    X_a*)* differ by rounding: of each pair that of the later channel's row. A few lines at a time, which stay
+    in the cache; lines are last in memory.
     """
     n_line, n = sums.shape[:2]
     chosen = range(n) if columns is None else columns
@@ -331,12 +322,11 @@ def _matrix_of(sums: ComplexArray, columns: Sequence[int] | None, scale: float) 
 
 @dataclass(frozen=True)
 class CrossSpectra:
-    """Averaged cross-spectral density matrix S_ab = E[X_a X_b*] of all channels.
-
-    frequency (n_frequency,) [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a
-    unit_b / Hz], or its columns of some channels b; n_block: blocks averaged; averages: effective number of
-    independent blocks (window, overlap); line_correlation: correlation of the FRF's noise between
-    neighbouring lines, see windows.line_correlation.
+    """Averaged cross-spectral density matrix S_ab = E[X_a X_b*] of all channels. frequency (n_frequency,)
+    [Hz]; matrix (n_frequency, n_channel, n_channel) complex, one-sided [unit_a unit_b / Hz], or its columns
+    of some channels b; n_block: blocks averaged; averages: effective number of independent blocks (window,
+    overlap); line_correlation: correlation of the FRF's noise between neighbouring lines, see
+    windows.line_correlation.
     """
 
     frequency: FloatArray
@@ -347,10 +337,7 @@ class CrossSpectra:
 
 
 class WelchAverage:
-    """Running sum of the cross-spectral matrix, fed with blocks of any length.
-
-    Segments are transformed a few at a time.
-    """
+    """Running sum of the cross-spectral matrix, fed with blocks of any length."""
 
     def __init__(
         self,
@@ -361,10 +348,8 @@ class WelchAverage:
         detrend: str = "constant",
     ) -> None:
         """*window* (n_sample,) [1], *step* samples from segment to segment; *lines* of the DFT, neighbours
-        above 0 Hz.
-
-        *detrend*: trend subtracted from every segment before the window: its mean (constant), a straight line
-        (linear), or none.
+        above 0 Hz. *detrend*: trend subtracted from every segment before the window: its mean (constant), a
+        straight line (linear), or none.
         """
         self._step, self._window, self.n_sample = step, window, window.size
         self._lines = range(window.size // 2 + 1)[lines]
@@ -406,10 +391,8 @@ class WelchAverage:
         return n_segment * self._step
 
     def _trend_of(self, samples: FloatArray, segments: FloatArray) -> FloatArray:
-        """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*.
-
-        A mean is that of whole steps, where they fit, so that every sample is summed once, however blocks
-        overlap.
+        """The trend's coefficients (n_segment, n_row, n_channel); *segments* begin with *samples*. A mean is
+        that of whole steps, where they fit, so that every sample is summed once, however blocks overlap.
         """
         n, step = self._window.size, self._step
         if self._basis.shape[0] != 1 or n % step:
@@ -420,9 +403,7 @@ class WelchAverage:
 
     def spectra(self, sample_rate: float, columns: Sequence[int] | None = None) -> CrossSpectra:
         """The averaged matrix at the selected lines, of all channels b or of *columns*; DataError when no
-        block was complete.
-
-        Equation (spec-welch).
+        block was complete. Equation (spec-welch).
         """
         self._products.flush()
         n_block = self._products.n_block
@@ -442,9 +423,8 @@ class WelchAverage:
 
 
 def trend_basis(detrend: str, n_sample: int) -> FloatArray:
-    """Orthonormal rows (n_row, n_sample) [1] that span the trend: none, constant, or linear.
-
-    ConfigError for another name.
+    """Orthonormal rows (n_row, n_sample) [1] that span the trend: none, constant, or linear. ConfigError for
+    another name.
     """
     if detrend not in DETRENDS:
         raise ConfigError(f"unknown trend '{detrend}'", hint=f"known: {', '.join(DETRENDS)}")
@@ -455,7 +435,6 @@ def trend_basis(detrend: str, n_sample: int) -> FloatArray:
 
 
 def _significant_lines(trend: ComplexArray) -> ComplexArray:
-    """The first lines (n_row, n_line) up to the last one above rounding."""
     size = np.sqrt(2 * trend.shape[1])
     above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
     return trend[:, : above[-1] + 1 if above.size else 0]

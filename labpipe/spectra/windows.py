@@ -38,9 +38,8 @@ WINDOW_SAMPLES = 1024
 
 
 def hann(n_sample: int) -> FloatArray:
-    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1].
-
-    Equation (spec-hann).
+    """The periodic (DFT-even) Hann window, 1/2 - 1/2 cos(2 pi n / N), (n_sample,) [1]. Equation
+    (spec-hann).
     """
     values: FloatArray = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n_sample) / n_sample)
     return values
@@ -48,7 +47,6 @@ def hann(n_sample: int) -> FloatArray:
 
 def window_values(name: str, n_sample: int) -> FloatArray:
     """The periodic (DFT-even) window of that name, (n_sample,) [1]; "tukey 0.25" gives a parameter.
-
     ConfigError for an unknown name, and for a window whose shape is not the same over any number of samples.
     """
     if name == "hann":
@@ -73,19 +71,15 @@ def window_values(name: str, n_sample: int) -> FloatArray:
 
 def noise_bandwidth(window: FloatArray) -> float:
     """Equivalent noise bandwidth n sum w^2 / (sum w)^2 in lines [1] of a window (n_sample,) (Harris 1978, eq.
-    11).
-
-    Boxcar 1, Hann 1.5. Equation (spec-enbw).
+    11). Boxcar 1, Hann 1.5. Equation (spec-enbw).
     """
     return float(window.size * np.dot(window, window) / np.sum(window) ** 2)
 
 
 def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
     """rho_k = (sum w(n) w(n + k step) / sum w^2)^2 [1], correlation of the powers of blocks k steps apart, k
-    = 1 ... (Welch 1967).
-
-    window (n_sample,), *step* in samples; the result has one value for every overlapping step. Equation
-    (spec-overlap).
+    = 1 ... (Welch 1967). window (n_sample,), *step* in samples; the result has one value for every
+    overlapping step. Equation (spec-overlap).
     """
     n = window.size
     products = [np.dot(window[:-shift], window[shift:]) for shift in range(step, n, step)]
@@ -94,11 +88,9 @@ def overlap_correlation(window: FloatArray, step: int) -> FloatArray:
 
 def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float, ...]:
     """c_d of the noise of an FRF at lines d = 1, 2, ... apart, down to SHARED: Hann 0.45, 0.03; boxcar
-    without overlap none.
-
-    window (n_sample,) [1], *step* [samples]. With r_j(d) = sum_t w(t) w(t + j step) exp(-2 pi j d t / N) of
-    noise and force of blocks j apart: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K - |j|) |r_j(0)|^2. Equation
-    (spec-line-correlation).
+    without overlap none. window (n_sample,) [1], *step* [samples]. With r_j(d) = sum_t w(t) w(t + j step)
+    exp(-2 pi j d t / N) of noise and force of blocks j apart: c_d = sum_j (K - |j|) |r_j(d)|^2 / sum_j (K -
+    |j|) |r_j(0)|^2. Equation (spec-line-correlation).
     """
     n = window.size
     products = [
@@ -115,10 +107,9 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
 
 def amplitude_correlation(name: str) -> tuple[float, ...]:
     """r_d = sum w^2 cos(2 pi d n / N) / sum w^2 of lines d = 1, 2, ... apart, down to SHARED: Hann -2/3, 1/6;
-    boxcar none.
-
-    That of the noise of an FRF whose force is the same in every block (a sweep, a period, a hit), with the
-    phase of its beginning. ConfigError for an unknown *name*. Equation (spec-amplitude-correlation).
+    boxcar none. That of the noise of an FRF whose force is the same in every block (a sweep, a period, a
+    hit), with the phase of its beginning. ConfigError for an unknown *name*. Equation
+    (spec-amplitude-correlation).
     """
     window = window_values(name, WINDOW_SAMPLES)
     power = np.fft.fft(window**2).real[: FURTHEST_LINE + 1] / np.dot(window, window)
@@ -128,10 +119,8 @@ def amplitude_correlation(name: str) -> tuple[float, ...]:
 
 def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
     """r_d = sum_t w^2 exp(-2 pi j d (t - origin) / N) / sum w^2 of lines d = 1, 2, ... apart, (n_distance,)
-    [1], down to FAINT.
-
-    window (n_sample,) [1] of the block; *origin* [samples]: the hit. The force has the phase exp(-j w
-    origin). exp(-t / tau) in a block T gives nearly 1 / (1 + j pi d tau / T). Equation
+    [1], down to FAINT. window (n_sample,) [1] of the block; *origin* [samples]: the hit. The force has the
+    phase exp(-j w origin). exp(-t / tau) in a block T gives nearly 1 / (1 + j pi d tau / T). Equation
     (spec-exponential-correlation).
     """
     power = np.fft.fft(window**2)[: window.size // 2] / np.dot(window, window)
@@ -143,9 +132,7 @@ def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
 
 def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
     """n_e = K / (1 + 2 sum_k (1 - k/K) rho_k), effective number of averages of K overlapping blocks (Welch
-    1967).
-
-    window (n_sample,) [1], *step* [samples]. Equation (spec-averages).
+    1967). window (n_sample,) [1], *step* [samples]. Equation (spec-averages).
     """
     rho = overlap_correlation(window, step)
     k = np.arange(1, rho.size + 1)
@@ -161,9 +148,7 @@ OUTSIDE, MOST_LINES = 1e-6, 64
 @dataclass(frozen=True)
 class LeakageKernel:
     """Spectrum of the window of *blocks*, phase taken out: *amplitude* W (n_point,) [1] at *offsets*
-    (n_point,) [1 / POINTS line].
-
-    sum W^2 = 1.
+    (n_point,) [1 / POINTS line]. sum W^2 = 1.
     """
 
     blocks: Blocks
@@ -194,10 +179,7 @@ def has_kernel(blocks: Blocks) -> bool:
 
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
-    """The spectrum of the blocks' window; ConfigError for an unknown window.
-
-    Equation (frf-leakage-kernel).
-    """
+    """The spectrum of the blocks' window; ConfigError for an unknown one. Equation (frf-leakage-kernel)."""
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2

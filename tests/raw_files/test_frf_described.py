@@ -291,6 +291,12 @@ RE_IM = {"frequency": "1", "re": "2", "im": "3"}
             "in rad by the file's own header; write",
         ),
         (
+            "f,a,p [mrad]\n1,2,3\n2,3,4\n",
+            {"frequency": "f", "amplitude": "2", "phase_rad": "3"},
+            SI,
+            "in mrad by the file's own header; write",
+        ),
+        (
             "f,a [m/N],p\n1,2,3\n2,3,4\n",
             {"frequency": "f", "amplitude_db": "a [m/N]", "phase_deg": "3"},
             SI,
@@ -392,3 +398,15 @@ def test_faults_of_a_table_of_frfs(tmp_path: Path, text: str, fault: str) -> Non
     (tmp_path / "h.csv").write_text(text)
     with pytest.raises(DataError, match=fault):
         read_frf_csv(tmp_path / "h.csv")
+
+
+@pytest.mark.parametrize(
+    ("units", "what"), [("Hz,um/N,um/N", "'x/f:re' is in um/N"), ("kHz,m/N,m/N", "'frequency_hz' is in kHz")]
+)
+def test_a_row_of_units_that_are_not_si_is_no_table_of_ours(tmp_path: Path, units: str, what: str) -> None:
+    """Its numbers were taken as m/N at Hz."""
+    (tmp_path / "h.csv").write_text(f"frequency_hz,x/f:re,x/f:im\n{units}\n1,2,3\n2,3,4\n")
+    with pytest.raises(DataError, match=what):
+        read_frf_csv(tmp_path / "h.csv")
+    (tmp_path / "h.csv").write_text("frequency_hz,x/f:re,x/f:im\nHz,m/N,m/N\n1,2,3\n2,3,4\n")
+    assert read_frf_csv(tmp_path / "h.csv").matrix[0, 0, 0] == 2 + 3j

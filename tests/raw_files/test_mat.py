@@ -282,3 +282,16 @@ def test_elements_that_do_not_fit(tmp_path: Path, place: int, value: int, fragme
     (tmp_path / "r.mat").write_bytes(content)
     with pytest.raises(DataError, match=fragment):
         open_table(tmp_path / "r.mat")
+
+
+def test_attributes_beside_a_rate_and_in_lists(tmp_path: Path) -> None:
+    """A rate in kHz and a step in us; a list of one unit, and one of a unit for each column of a matrix."""
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.create_dataset("fs", data=20.0).attrs["unit"] = "kHz"
+        file.create_dataset("dt", data=50.0).attrs["units"] = "us"
+        file.create_dataset("x", data=np.arange(5.0)).attrs["unit"] = np.array([b"um"])
+        file.create_dataset("m", data=np.ones((5, 2))).attrs["unit"] = np.array([b"N", b"V"])
+    table = open_table(tmp_path / "r.h5")
+    assert (table.sample_rate, table.units) == (20e3, {"x": "um", "m_1": "N", "m_2": "V"})
+    savemat(tmp_path / "r.mat", {"x": np.arange(5.0), "fs": 20.0, "units": {"fs": "kHz", "x": "um"}})
+    assert open_table(tmp_path / "r.mat").sample_rate == 20e3

@@ -379,3 +379,31 @@ def test_texts_beside_the_numbers_of_a_workbook(tmp_path: Path) -> None:
     np.testing.assert_array_equal(whole(table.path), expected)
     with pytest.raises(DataError, match="the column 'state' holds text"):
         check_columns(table, ["state"])
+
+
+def test_lvm_channels_that_begin_apart_are_no_recording(tmp_path: Path) -> None:
+    segment = SEGMENT.replace("Delta_X", "X0\t0\t2.0E-3\t\nDelta_X")
+    with pytest.raises(DataError, match=r"begin up to 0\.002 s apart \(X0\)"):
+        open_table(lvm(tmp_path / "r.lvm", segment + ROWS))
+
+
+def test_samples_that_an_mdf_file_marks_as_invalid_are_missing(tmp_path: Path) -> None:
+    from asammdf import MDF, Signal
+
+    marks = np.array([False, True, False])
+    with MDF() as file:
+        file.append([Signal(np.arange(3.0), np.arange(3.0), name="x", invalidation_bits=marks)])
+        file.save(tmp_path / "r.mf4")
+    np.testing.assert_array_equal(whole(tmp_path / "r.mf4", "x")[:, 0], [0.0, np.nan, 2.0])
+
+
+def test_a_channel_in_a_group_of_its_own_is_named_as_such(tmp_path: Path) -> None:
+    """Loggers give every channel a group: at one rate nobody may speak of another rate alone."""
+    from asammdf import MDF, Signal
+
+    with MDF() as file:
+        for name in "xf":
+            file.append([Signal(np.arange(5.0), np.arange(5.0), name=name)])
+        file.save(tmp_path / "r.mf4")
+    with pytest.raises(DataError, match="'x' lies in another group than the others"):
+        check_columns(open_table(tmp_path / "r.mf4"), ["x"])

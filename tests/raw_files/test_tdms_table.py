@@ -123,3 +123,22 @@ def test_channels_of_one_name_in_a_file_that_grows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(rows, np.column_stack([np.arange(4.0), np.arange(4.0) + 1]))
     with pytest.raises(DataError, match="no column 'x'"):
         tdms_table.growing_rows(tmp_path / "r.tdms", ["x"], 0, 9)
+
+
+@pytest.mark.parametrize(
+    "later", [{"wf_start_offset": 2e-3}, {"wf_start_time": np.datetime64("2026-01-01T00:00:00.002")}]
+)
+def test_channels_that_begin_apart_are_no_recording(tmp_path: Path, later: dict) -> None:
+    start = {"wf_increment": 1e-3, "wf_start_time": np.datetime64("2026-01-01"), "wf_start_offset": 0.0}
+    with TdmsWriter(str(tmp_path / "r.tdms")) as writer:
+        for name, properties in (("f", start), ("x", start | later)):
+            writer.write_segment([RootObject(), ChannelObject("g", name, np.arange(9.0), properties)])
+    with pytest.raises(DataError, match=r"begin up to 0\.002 s apart"):
+        open_table(tmp_path / "r.tdms")
+
+
+def test_the_step_of_a_spectrum_is_no_rate(tmp_path: Path) -> None:
+    properties = {"wf_increment": 0.5, "wf_xunit_string": "Hz"}
+    with TdmsWriter(str(tmp_path / "r.tdms")) as writer:
+        writer.write_segment([RootObject(), ChannelObject("g", "x", np.arange(9.0), properties)])
+    assert open_table(tmp_path / "r.tdms").sample_rate is None

@@ -382,3 +382,46 @@ def test_a_response_matrix_says_what_to_do_with_such_recordings() -> None:
 def test_keys_that_do_not_go_with_spectra_are_refused(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         FrfSettings(**settings)  # type: ignore[arg-type]
+
+
+def test_a_force_recorded_in_one_of_two_runs_keeps_its_noise(rng) -> None:
+    """White noise s of a probe is 4 s^2 / (N n) in the mean of n periods of N samples; half of it was stated
+    of a force that the other run does not have.
+    """
+    n, n_period, s = 100, 8, 0.01
+    time = np.arange(n * n_period) / n
+    sines = sum(np.cos(2 * np.pi * line * time + line**2) for line in range(5, 40))
+    runs = []
+    for axis, angle in (("x", 0.0), ("y", np.pi / 2)):
+        force = Channel(f"f_{axis}", "force", "input", axis, angle)
+        samples = np.column_stack([sines, 2 * sines]) + s * rng.normal(size=(time.size, 2))
+        runs.append(
+            Recording((force, Channel("d", "displacement", "output", "x", 0.0)), samples, float(n), axis)
+        )
+    found = channel_spectra(runs, FrfSettings("periodic", period=1.0, skip=0, result="spectra"))
+    variance = np.einsum("lrcc->rc", found.covariance).real / found.frequency.size / (4 * s**2 / n / n_period)
+    names = [channel.name for channel in found.channels]
+    stated = [variance[run, names.index(name)] for run, name in ((0, "f_x"), (1, "f_y"), (0, "d"), (1, "d"))]
+    np.testing.assert_allclose(stated, 1.0, rtol=0.25)
+
+
+def test_a_force_recorded_in_one_of_two_random_runs_keeps_its_noise(rng) -> None:
+    """White noise s of a probe, 2 s^2 / f_s in power, is 4 s^2 / (f_s T n) in the amplitude of a line of
+    blocks of T over the n averages of both runs; half was stated of a force that the other run lacks.
+    """
+    n, rate, s = 40_000, 100.0, 0.01
+    names = ("u", "v")
+    drives = [Channel(name, "voltage", "reference", name) for name in names]
+    runs = []
+    for number, (axis, angle) in enumerate((("x", 0.0), ("y", np.pi / 2))):
+        drive = rng.normal(size=n)
+        noisy = [drive + s * rng.normal(size=n), 2 * drive + s * rng.normal(size=n)]
+        columns = [*noisy, *(drive * (number == place) for place in range(2))]
+        force = Channel(f"f_{axis}", "force", "input", axis, angle)
+        response = Channel("d", "displacement", "output", "x", 0.0)
+        runs.append(Recording((force, response, *drives), np.column_stack(columns), rate, axis))
+    found = channel_spectra(runs, FrfSettings("random", block=1.0, result="spectra", reference=names))
+    averages = found.covariance_dof + 2
+    variance = np.einsum("lrcc->rc", found.covariance).real / found.frequency.size
+    stated = variance * averages * rate / (4 * s**2)
+    np.testing.assert_allclose(stated, 1.0, rtol=0.05)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
+from labpipe.spectra.channels import DerivedRecording
 from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
@@ -209,3 +210,16 @@ def test_a_decay_does_not_go_on_through_silence_into_a_hit_too_weak_to_count() -
     """
     ((start, end),) = spans(recorded(struck((0.5, 15.0), 30.0, zeta=0.02, strengths=(1.0, 0.04))))
     assert start < 0.6 and end < 3.0
+
+
+def test_a_sample_that_is_no_number_is_named() -> None:
+
+    class Holed(DerivedRecording):
+        def blocks(self, n_sample: int) -> Iterator[np.ndarray]:
+            for block in self.source.blocks(n_sample):
+                samples = block.copy()
+                samples[1000] = np.nan
+                yield samples
+
+    with pytest.raises(DataError, match="'y1' of 'run' has no number at sample 1000"):
+        free_decays([Holed(recorded(struck((0.5,), 4.0)))], SETTINGS)

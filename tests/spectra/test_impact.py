@@ -476,3 +476,15 @@ def test_a_block_of_hardly_any_samples_is_refused(rng: np.random.Generator) -> N
     for block, n in ((1e-4, 0), (5e-4, 1), (2e-3, 4)):
         with pytest.raises(DataError, match=f"a block of {block:g} s holds {n} samples of 'taps', 20 are"):
             measure([recording], FrfSettings(excitation="impact", block=block))
+
+
+def test_pulses_of_a_tacho_are_no_overload(rng) -> None:
+    """They stand at both ends of their range; all hits were left out for them."""
+    taps = hammered(rng, half_sine(4 * N, [200, 200 + 2 * N], [1.0, 1.2]), noise=1e-4)
+    pulses = np.arange(taps.n_sample) % 100 < 20
+    channels = (*taps.channels, Channel("n", "tacho", "reference", "n"))
+    turning = Recording(channels, np.column_stack([taps.samples, pulses]), RATE, "taps")
+    settings = FrfSettings("impact", block=BLOCK)
+    np.testing.assert_allclose(
+        measure([turning], settings).matrix, measure([taps], settings).matrix, rtol=1e-9
+    )

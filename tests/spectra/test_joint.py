@@ -329,3 +329,28 @@ def test_the_covariance_of_a_line_does_not_know_its_error(rng: np.random.Generat
         means.append(np.sum(weight * (matrix[:, 0, 0] - 1)) / np.sum(weight))
     assert abs(means[0]) < 0.004
     assert means[1].real == pytest.approx(2 * -0.8 * 0.04, rel=0.25)
+
+
+def test_a_sharp_resonance_keeps_the_noise_of_its_own_lines(rng: np.random.Generator) -> None:
+    """One mode 2 Hz wide on lines every 1 Hz, noise s of the force: var H = |H|^2 4 s^2 / (N n |U|^2). At the
+    peak a thousandth of it was stated, as a straight line through the lines around tells |H| there.
+    """
+    n, n_period, s, lines = 400, 40, 0.05, np.arange(20, 120)
+    spectrum = np.zeros(n // 2 + 1, complex)
+    spectrum[lines] = n / 2 * np.exp(1j * rng.uniform(0, 2 * np.pi, lines.size))
+    f = np.arange(n // 2 + 1)
+    exact = 1 / (60.0**2 - f**2 + 2j * 0.0167 * 60 * f)
+    drive, motion = (np.tile(np.fft.irfft(part), n_period) for part in (spectrum, exact * spectrum))
+    force = drive + s * rng.normal(size=drive.size)
+    channels = [
+        Channel(name, quantity, role, "x", 0.0)
+        for name, quantity, role in (
+            ("r", "voltage", "reference"), ("f", "force", "input"), ("y", "displacement", "output"),
+        )
+    ]  # fmt: skip
+    run = Recording(tuple(channels), np.column_stack([drive, force, motion]), float(n), "run")
+    found = measure([run], FrfSettings("periodic", period=1.0, skip=0, reference=("r",)))
+    true = np.abs(exact[lines]) ** 2 * 4 * s**2 / (n * n_period)
+    assert found.frequency.tolist() == lines.tolist()
+    ratio = found.variance[:, 0, 0] / true
+    assert np.all(ratio[np.abs(lines - 60) < 4] == pytest.approx(1.0, abs=0.3))

@@ -28,9 +28,8 @@ STEP = 1e-5
 @dataclass(frozen=True)
 class FittedLaw:
     """The law with the covariance (4, 4) of zeta_rest [1], zeta_slope [1/unit], frequency_slope [rad/s/unit],
-    omega [rad/s]; converged.
-
-    squares: sum of the squares of what it leaves [1], over the variances that the exponential fit leaves.
+    omega [rad/s]; converged. squares: sum of the squares of what it leaves [1], over the variances that the
+    exponential fit leaves.
     """
 
     law: AmplitudeLaw
@@ -41,9 +40,7 @@ class FittedLaw:
 
 def amplitude(time: FloatArray, first: float, omega: float, rest: float, slope: float) -> FloatArray:
     """A(t) (n_sample,) [unit of *first*] of A' = -w (z0 + z1 A) A from A(0) = *first* at *time* (n_sample,)
-    [s].
-
-    A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation
+    [s]. A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t): the solution of a Bernoulli equation. Equation
     (decay-law).
     """
     decay = np.exp(-rest * omega * time)
@@ -82,20 +79,15 @@ class _Problem:
         amplitudes = [solved.amplitudes[mode, output] for solved in fitted.pieces]
         self.amplitudes: ComplexArray = np.array(amplitudes)
         self.largest = float(np.max(np.abs(self.amplitudes)))
-        self.ranges = [np.linalg.qr(piece.nuisance)[0] for piece in pieces]
         self.targets = []
         others = np.arange(fitted.poles.size) != mode
         for number, piece in enumerate(pieces):
             course = np.exp(piece.time[:, None] * fitted.poles_of(number)[others])
             course = (course @ fitted.pieces[number].amplitudes[others, output]).real
             rows = piece.rows[:, output] - piece.project(course[:, None])[:, 0]
-            self.targets.append(self._free(number, rows))
+            self.targets.append(piece.free(rows))
         parts = [target / d for target, d in zip(self.targets, self.deviation, strict=True)]
         self.size = float(np.sqrt(sum(np.sum(part**2) for part in parts)))
-
-    def _free(self, number: int, rows: FloatArray) -> FloatArray:
-        range_ = self.ranges[number]
-        return np.asarray(rows - range_ @ (range_.T @ rows))
 
     @property
     def start(self) -> FloatArray:
@@ -119,7 +111,7 @@ class _Problem:
         size = amplitude(piece.time, first, omega, rest, slope)
         angle = omega * piece.time + turn * travel(piece.time, first, omega, rest, slope) + phase
         rows = piece.project((size * np.cos(angle))[:, None])[:, 0]
-        return self._free(number, rows) / self.deviation[number]
+        return np.asarray(piece.free(rows) / self.deviation[number])
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         pairs = zip(self.targets, self.deviation, strict=True)
@@ -147,15 +139,12 @@ class _Problem:
 def fitted_law(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> FittedLaw:
-    """The law of a mode from all pieces of one output, from the exponential fit on.
-
-    Standard errors from the residual it leaves.
-    """
+    """The law of a mode from all pieces of one output, from the exponential fit on."""
     problem = _Problem(pieces, fitted, mode, output)
     minimum = minimise(problem, problem.start, near=1e-4)
     linear = linearised(problem, minimum.values)
     inverse = np.linalg.pinv(linear.triangle * linear.scale, rcond=1e-15)
-    nuisance = sum(range_.shape[1] for range_ in problem.ranges)
+    nuisance = sum(piece.nuisance.shape[1] for piece in pieces)
     noise = linear.chi2 / max(linear.n_equation - minimum.values.size - nuisance, 1)
     covariance = (inverse @ inverse.T)[:SHARED, :SHARED] * noise * np.outer(problem.units, problem.units)
     rest, slope, turn, omega = (float(value) for value in problem.physical(minimum.values))
@@ -226,7 +215,6 @@ def over_amplitude(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
-
     ln(A_1 / A_2) / (w dt) and the turn of the phase between them; first-order standard errors. Equation
     (decay-stretches).
     """
@@ -256,7 +244,6 @@ FEWEST_STRETCHES, LEAST_DOF = 1, 2
 def course_spread(curve: OverAmplitude, pole: complex) -> tuple[float, float, int] | None:
     """By how much ln f and ln zeta of the stretches of a decay scatter about the fit's *pole* [rad/s] beyond
     their noise, standard deviations [1], and their degrees of freedom; None of fewer than FEWEST_STRETCHES.
-
     tau^2 = max(sum w ((x_j - x)^2 - u_j^2) / sum w, 0), w = 1 / (u_j^2 + median u^2). Equation
     (decay-course).
     """
@@ -289,10 +276,8 @@ LEFT = 0.5
 @dataclass(frozen=True)
 class MissingMode:
     """The fit with a mode more: *frequencies* [Hz] that take the place of *mode*, by how much its criterion
-    is *better* [1].
-
-    white: whether it leaves white noise; otherwise neither it nor the law explains the decay, and a law of
-    another form may be as good.
+    is *better* [1]. white: whether it leaves white noise; otherwise neither it nor the law explains the
+    decay, and a law of another form may be as good.
     """
 
     mode: int
@@ -311,13 +296,10 @@ def missing_mode(
     white: bool,
 ) -> MissingMode | None:
     """What *richer*, with a mode more than *fitted*, explains better than the *laws* by their mode; None
-    where it does not. *outputs* (n_mode,) in which each mode is strongest.
-
-    *white*: whether it leaves white noise; otherwise it must leave less than the share LEFT of what the law
-    leaves.
-
-    N ln(S) + p ln(N) of both, S the squares left in the output in which the mode is strongest: a law has two
-    parameters more than an exponential, a mode two more and two in every piece. Equation (decay-missing).
+    where it does not. *outputs* (n_mode,) in which each mode is strongest. *white*: whether it leaves white
+    noise; otherwise it must leave less than the share LEFT of what the law leaves. N ln(S) + p ln(N) of both,
+    S the squares left in the output in which the mode is strongest: a law has two parameters more than an
+    exponential, a mode two more and two in every piece. Equation (decay-missing).
     """
     if not richer.converged or np.any(richer.poles.real >= 0):
         return None
@@ -354,8 +336,8 @@ class Jump:
 def jump_of(
     decays: FreeDecays, columns: Sequence[int], fitted: likelihood.Decayed, band: tuple[float, float] | None
 ) -> Jump | None:
-    """The jump with which nothing but noise is left of a decay; None where there is none, or several
-    decays.
+    """The jump with which nothing but noise is left of a decay; None where there is none, or
+    several decays.
     """
     if len(decays.decays) != 1:
         return None
@@ -452,9 +434,7 @@ def decay_findings(
     missing: MissingMode | None,
 ) -> tuple[Finding, ...]:
     """Warnings: no convergence, growing oscillations, damping over amplitude (*laws* and first *amplitudes*
-    by mode), other residuals.
-
-    *missing*: the mode that explains the residual better than a law.
+    by mode), other residuals. *missing*: the mode that explains the residual better than a law.
     """
     warnings = []
     if not fitted.converged:

@@ -18,17 +18,7 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import correlation, derive, estimated, restated, student_limit
-from labpipe.methods.ring_down import amplitude_law, likelihood
-from labpipe.methods.ring_down.repeats import (
-    POWERS,
-    RepeatedDecays,
-    drift_findings,
-    powers_of,
-    quantity_name,
-    repeat_notes,
-    repeated_decays,
-    with_repeats,
-)
+from labpipe.methods.ring_down import amplitude_law, likelihood, repeats
 from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
@@ -74,9 +64,7 @@ DOWN_TO = 0.1
 
 def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float | None:
     """Slope of the logarithm of the peaks of *samples* (n_sample,) [any unit] per period [1]; None with less
-    than three peaks.
-
-    rate, frequency [Hz]. Equation (decay-peaks).
+    than three peaks. rate, frequency [Hz]. Equation (decay-peaks).
     """
     period = rate / frequency
     count = int(samples.size / period)
@@ -94,10 +82,7 @@ MOST_STRETCHES = 700
 
 
 def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
-    """Time (n,) [s] and series (n,) [any unit] as the least and largest value of MOST_STRETCHES stretches.
-
-    Short ones whole.
-    """
+    """Time (n,) [s] and series (n,) [any unit] as the least and largest value of MOST_STRETCHES stretches."""
     if time.size <= 2 * MOST_STRETCHES:
         return (time, *series)
     length = -(-time.size // MOST_STRETCHES)
@@ -112,10 +97,8 @@ def trace(time: FloatArray, *series: FloatArray) -> tuple[FloatArray, ...]:
 
 def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Parameter, ...]:
     """f_n, zeta and logarithmic decrement of every mode in ascending frequency; with a *mass* [kg] k = m
-    w_n^2 and c = 2 zeta w_n m.
-
-    w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda / Im lambda; standard errors
-    of first order. Equation (decay-values).
+    w_n^2 and c = 2 zeta w_n m. w_n = |lambda|, zeta = -Re lambda / |lambda|, log decrement = -2 pi Re lambda
+    / Im lambda; standard errors of first order. Equation (decay-values).
     """
     parameters: list[Parameter] = []
     for mode, pole in enumerate(fitted.poles):
@@ -128,7 +111,7 @@ def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Par
             rows.append(("k", "N/m", mass * abs(pole) ** 2, 2 * mass * towards))
             rows.append(("c", "N.s/m", -2 * mass * pole.real, np.array([-2 * mass, 0.0])))
         for number, (quantity, unit, value, gradient) in enumerate(rows):
-            name = quantity_name(quantity, mode, fitted.poles.size)
+            name = repeats.quantity_name(quantity, mode, fitted.poles.size)
             error = float(np.sqrt(max(float(gradient @ block @ gradient), 0.0)))
             parameters.append(
                 estimated(name, unit, value, error, fitted.dof, None)
@@ -157,7 +140,7 @@ def with_course(
         name, _, number = parameter.name.rpartition("_")
         if parameter.name in ("k", "c"):
             name, number = parameter.name, "1"
-        if name not in POWERS or not number.isdigit():
+        if name not in repeats.POWERS or not number.isdigit():
             widened.append(parameter)
             continue
         mode = int(number) - 1
@@ -165,7 +148,7 @@ def with_course(
         if spread is None or parameter.ci95 is None or parameter.value <= 0:
             widened += without_intervals([parameter])
             continue
-        of_f, of_zeta = powers_of(name, -fitted.poles[mode].real / abs(fitted.poles[mode]))
+        of_f, of_zeta = repeats.powers_of(name, -fitted.poles[mode].real / abs(fitted.poles[mode]))
         model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
         low, high = parameter.ci95
         half_width = float(np.log(high / low)) / 2 if low > 0 else np.inf
@@ -200,9 +183,8 @@ def decay_sources(
     parameters: Sequence[Parameter], settings: FitSettings, ports: Mapping[int, Port]
 ) -> list[Source]:
     """The sources that change *parameters* of decays; *ports*: the sensor that the amplitude of every mode,
-    from 0, was read by.
-
-    An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1 - d) times as large.
+    from 0, was read by. An error d of a gain makes all amplitudes A (1 - d), and what is per amplitude 1 / (1
+    - d) times as large.
     """
     sources: dict[str, Source] = {}
     for mode, port in ports.items():
@@ -227,8 +209,6 @@ EXPLAINED = 0.42
 
 @dataclass(frozen=True)
 class _Fitted:
-    """The *decays*, the *pieces* of their outputs *columns*, and their fit."""
-
     decays: FreeDecays
     columns: Sequence[int]
     pieces: tuple[likelihood.Piece, ...]
@@ -266,10 +246,8 @@ class _Fitted:
 
 
 def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
-    """The modes of all decays of a test together as one Fit.
-
-    ConfigError where settings and decays do not fit together, FitError where no decay stands out or it is too
-    short.
+    """The modes of all decays of a test together as one Fit. ConfigError where settings and decays do not fit
+    together, FitError where no decay stands out or it is too short.
     """
     decay_settings: DecaySettings = settings.model_settings
     columns = chosen_ports(decays.outputs, settings.output, "response")
@@ -279,7 +257,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     alone = len(pieces) > 1 and "pool" not in (decay_settings.repeats, settings.repeats)
     _check(settings, alone)
     if alone:
-        repeated = repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
+        repeated = repeats.repeated_decays(decays, columns, pieces, settings, decay_settings.modes)
     if repeated is None:
         joined = likelihood.most_likely(
             decays.decays, columns, pieces, decays.sample_rate, settings.band, decay_settings.modes
@@ -319,9 +297,9 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     findings = (*(() if jump is None else (jump.finding,)), *findings, *short)
     notes = _notes(fitted)
     if repeated is not None:
-        findings = (*findings, *repeated.failed, *drift_findings(repeated))
+        findings = (*findings, *repeated.failed, *repeats.drift_findings(repeated))
         read = [decays.units[columns[output]] for output in repeated.outputs]
-        notes = (*repeat_notes(repeated, read), *notes)
+        notes = (*repeats.repeat_notes(repeated, read), *notes)
     details = (_ring_down(fitted, curves),)
     return replace(fit, findings=(*findings, *decays.findings), notes=notes, details=details)
 
@@ -335,9 +313,8 @@ def _check(settings: FitSettings, each: bool) -> None:
 
 
 def _check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
-    """FitError for few degrees of freedom, and for a mode that noise explains.
-
-    A free damping finds more than the largest line, as if there were MORE_LINES times as many.
+    """FitError for few degrees of freedom, and for a mode that noise explains. A free damping finds more than
+    the largest line, as if there were MORE_LINES times as many.
     """
     if fitted.dof < FEW_DOF:
         hint = "a longer decay, fewer `modes`, or a wider `band`"
@@ -387,12 +364,12 @@ def _parameters(
     fitted: _Fitted,
     settings: FitSettings,
     laws: dict[int, amplitude_law.FittedLaw],
-    repeated: RepeatedDecays | None,
+    repeated: repeats.RepeatedDecays | None,
 ) -> tuple[Parameter, ...]:
     mass = settings.mass if isinstance(settings.mass, float) else None
     parameters = mode_parameters(fitted.fit, mass)
     if repeated is not None:
-        parameters = with_repeats(parameters, repeated, fitted.fit.dof, mass)
+        parameters = repeats.with_repeats(parameters, repeated, fitted.fit.dof, mass)
     for mode, law in laws.items():
         parameters += law_parameters(law, mode, fitted.units[mode], fitted.fit.dof)
     return parameters
@@ -402,17 +379,18 @@ def _report(fitted: _Fitted, settings: FitSettings, parameters: tuple[Parameter,
     of, pieces = fitted.fit, fitted.pieces
     equations = sum(piece.rows.size for piece in pieces)
     left = _square_sum(solved.residual for solved in of.pieces)
-    r2 = 1 - left / _square_sum(_free_of_nuisance(piece) for piece in pieces)
+    r2 = 1 - left / _square_sum(piece.free(piece.rows) for piece in pieces)
     adjusted = 1 - (1 - r2) * equations / of.dof
     slopes = scipy.linalg.block_diag(
         *([gradient for *_, gradient in _frequency_and_damping(pole)] for pole in of.poles)
     )
     matrix = correlation(slopes @ of.covariance @ slopes.T)
+    low, high = settings.band or (0.0, np.inf)
     return Fit(
         name=settings.name,
         model=settings.model,
         estimator="ml",
-        band_hz=settings.band or (0.0, fitted.decays.sample_rate / 2),
+        band_hz=(low, min(high, fitted.decays.sample_rate / 2)),
         lines=sum(piece.rows.shape[0] for piece in pieces),
         equations=equations,
         dof=of.dof,
@@ -427,11 +405,6 @@ def _report(fitted: _Fitted, settings: FitSettings, parameters: tuple[Parameter,
 
 def _square_sum(parts: Iterable[FloatArray]) -> float:
     return sum(float(np.sum(part**2)) for part in parts)
-
-
-def _free_of_nuisance(piece: likelihood.Piece) -> FloatArray:
-    range_ = np.linalg.qr(piece.nuisance)[0]
-    return np.asarray(piece.rows - range_ @ (range_.T @ piece.rows))
 
 
 def _notes(fitted: _Fitted) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -21,24 +22,29 @@ from labpipe.spectra.bands import lines_in
 
 # Smooth terms along the lines of a band, which carry what modes outside it add.
 SMOOTH_TERMS = 3
-# Fewest lines of a decay in a band.
 LEAST_LINES = 4 * SMOOTH_TERMS
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One decay whose rows carry white noise: *rows* (n_row, n_output) [unit of the outputs].
-
-    Without a band a row is a sample, and the *nuisance* (n_row, n) [1] is the offset. With a band the rows
-    are the real and imaginary parts of its DFT *lines* (n_line,): white noise is white there as well, and a
-    mode outside the band adds C (1 - z^n) / (1 - z e^-jw) [unit], which is smooth in it. time (n_sample,)
-    [s].
+    """One decay whose rows carry white noise: *rows* (n_row, n_output) [unit of the outputs]. Without a band
+    a row is a sample, and the *nuisance* (n_row, n) [1] is the offset. With a band the rows are the real and
+    imaginary parts of its DFT *lines* (n_line,): white noise is white there as well, and a mode outside the
+    band adds C (1 - z^n) / (1 - z e^-jw) [unit], which is smooth in it. time (n_sample,) [s].
     """
 
     time: FloatArray
     rows: FloatArray
     lines: IntArray | None
     nuisance: FloatArray
+
+    @cached_property
+    def _range(self) -> FloatArray:
+        return np.linalg.qr(self.nuisance)[0]
+
+    def free(self, rows: FloatArray) -> FloatArray:
+        """*rows* (n_row, ...) [any unit] without what the nuisance explains."""
+        return np.asarray(rows - self._range @ (self._range.T @ rows))
 
     def project(self, columns: FloatArray) -> FloatArray:
         """The rows (n_row, n) of functions of time (n_sample, n) [any unit]: orthonormal, so that noise keeps
@@ -66,9 +72,8 @@ def _rows(columns: FloatArray, lines: IntArray | None) -> FloatArray:
 def pieces_of(
     decays: Sequence[FreeDecay], columns: Sequence[int], rate: float, band: tuple[float, float] | None
 ) -> tuple[Piece, ...]:
-    """The pieces of the decays' outputs *columns* at *rate* [Hz] in a *band* [Hz].
-
-    FitError where the band holds too few lines.
+    """The pieces of the decays' outputs *columns* at *rate* [Hz] in a *band* [Hz]. FitError where the band
+    holds too few lines.
     """
     return tuple(_piece(decay.samples[:, list(columns)], rate, band) for decay in decays)
 
@@ -123,10 +128,8 @@ ROUNDING = 1e-12
 @dataclass(frozen=True)
 class Solved:
     """One piece at given poles: amplitudes C (n_mode, n_output) [unit of the output], residual (n_row,
-    n_output) [same unit].
-
-    range_ (n_row, n): orthonormal columns [1] of the piece's linear part. tangent (n_row, 2 n_mode): t
-    e^(lambda t), real and imaginary parts [s], without what the linear part explains.
+    n_output) [same unit]. range_ (n_row, n): orthonormal columns [1] of the piece's linear part. tangent
+    (n_row, 2 n_mode): t e^(lambda t), real and imaginary parts [s], without what the linear part explains.
     """
 
     amplitudes: ComplexArray
@@ -160,10 +163,9 @@ def solve(piece: Piece, poles: ComplexArray) -> Solved:
 @dataclass(frozen=True)
 class Decayed:
     """The fitted modes: *poles* (n_mode,) [rad/s] by ascending frequency, *covariance* (2 n_mode, 2 n_mode)
-    [rad^2/s^2] of Re, Im of each.
-
-    variance (n_piece, n_output) [unit^2 of the output]: of the noise of one row. dof: equations less
-    parameters. *each* (n_piece, n_mode) [rad/s]: the poles of every piece where they are its own.
+    [rad^2/s^2] of Re, Im of each. variance (n_piece, n_output) [unit^2 of the output]: of the noise of one
+    row. dof: equations less parameters. *each* (n_piece, n_mode) [rad/s]: the poles of every piece where they
+    are its own.
     """
 
     poles: ComplexArray
@@ -188,7 +190,6 @@ class Decayed:
 
 def maximum_likelihood(pieces: Sequence[Piece], start: ComplexArray) -> Decayed:
     """The most likely poles from *start* (n_mode,) [rad/s] on, with the Cramer-Rao bound as their covariance.
-
     Gauss-Newton on the residual that is left when amplitudes and offsets are eliminated (Golub and Pereyra
     1973, with the Jacobian of Kaufman 1975): the Schur complement of the poles in the Fisher information. The
     noise of each decay and output is that of its residual. FitError where two modes become one. Equation
@@ -225,7 +226,6 @@ def energies(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
 
 def noise_chance(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     """Chance (n_mode,) [1] by which noise alone would give a mode so much energy on one of all rows, at most.
-
     The amplitude of every output of every piece is free: chi-square with two degrees of freedom for each.
     """
     rows, dof = sum(piece.rows.size for piece in pieces), 2 * fitted.variance.size
@@ -262,7 +262,6 @@ def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
 
 
 def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Information (2 n_mode, 2 n_mode) of Re and Im of the poles, and its right side."""
     n_mode = solved[0].amplitudes.shape[0]
     information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
     for part, variances in zip(solved, variance, strict=True):
@@ -361,10 +360,8 @@ def pencil_poles(
     series: Sequence[FloatArray], rate: float, n_mode: int, rank: int, band: tuple[float, float] | None = None
 ) -> ComplexArray | None:
     """The *n_mode* strongest oscillating poles (n_mode,) [rad/s] of series (n_sample,) [any unit] at *rate*
-    [Hz]; None without so many.
-
-    Matrix pencil (Hua and Sarkar 1990) in the form of a shift-invariant subspace: the first *rank* left
-    singular vectors of the Hankel matrix of all series. Equation (decay-pencil).
+    [Hz]; None without so many. Matrix pencil (Hua and Sarkar 1990) in the form of a shift-invariant subspace:
+    the first *rank* left singular vectors of the Hankel matrix of all series. Equation (decay-pencil).
     """
     rows = min(samples.size for samples in series) // 3
     if rows <= rank + 1:
@@ -443,7 +440,6 @@ GOES_ON = 0.5
 @dataclass(frozen=True)
 class Judged:
     """Chances of such a residual in white noise [1], and the frequency [Hz] at which most of it is left.
-
     amplitude: by terms that follow the amplitude of each mode (damping or frequency that depend on it).
     white: by likeness of neighbouring samples, and by the strongest line, the lesser times two. ending: mean
     square of the residual in the last third of the decays over that in the first third.
@@ -509,10 +505,8 @@ def _orthonormal(columns: FloatArray, sizes: FloatArray | None = None) -> FloatA
 
 def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:
     """Chance [1] of so much likeness of neighbours in white noise, of series (n, n_output) [any unit]; *real*
-    or complex ones.
-
-    Q = n (n + 2) sum |r_d|^2 / (n - d) over lags d is chi-square with one degree of freedom per lag (Ljung
-    and Box 1978), of complex circular series 2 Q with two. Equation (decay-portmanteau).
+    or complex ones. Q = n (n + 2) sum |r_d|^2 / (n - d) over lags d is chi-square with one degree of freedom
+    per lag (Ljung and Box 1978), of complex circular series 2 Q with two. Equation (decay-portmanteau).
     """
     statistic, dof = 0.0, 0
     for series in residuals:
@@ -528,8 +522,8 @@ def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:
 
 
 def _strongest_line(residuals: Sequence[tuple[Piece, ComplexArray]], rate: float) -> tuple[float, float]:
-    """Chance of so strong a line among all, and its frequency [Hz] (Fisher 1929: (1 - g)^(m - 1) m at
-    most).
+    """Chance of so strong a line among all, and its frequency [Hz] (Fisher 1929: (1 - g)^(m - 1) m
+    at most).
     """
     chance, frequency, n_series = 1.0, 0.0, 0
     for piece, series in residuals:

@@ -49,11 +49,9 @@ def powers_of(name: str, zeta: float) -> tuple[float, float]:
 @dataclass(frozen=True)
 class RepeatedDecays:
     """Decays that were fitted alone: their *numbers*, *fits* of one decay each, and those that could not be,
-    in words.
-
-    *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the amplitude
-    (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere, in the *outputs* (n_mode,)
-    that stand out of their noise most; the *groups*, if any, that are the repeats.
+    in words. *kept*: which of the fits are used; *means*: of ln f and ln zeta of every mode; *at*: the
+    amplitude (n_mode,) [unit] at which the values hold where they follow it, nan elsewhere, in the *outputs*
+    (n_mode,) that stand out of their noise most; the *groups*, if any, that are the repeats.
     """
 
     total: int
@@ -93,9 +91,7 @@ def repeated_decays(
     decays: FreeDecays, columns: Sequence[int], pieces: Sequence[Piece], settings: FitSettings, n_mode: int
 ) -> RepeatedDecays | None:
     """Every decay fitted alone in the band of the *settings*, and the means over decays, or over groups of
-    recordings.
-
-    None where fewer than two can be, or one mode does not decay in most of them.
+    recordings. None where fewer than two can be, or one mode does not decay in most of them.
     """
     fits: dict[int, Decayed] = {}
     failed = []
@@ -203,11 +199,9 @@ def with_repeats(
     parameters: Sequence[Parameter], repeated: RepeatedDecays, dof: int, mass: float | None
 ) -> tuple[Parameter, ...]:
     """The parameters of the modes as means of the decays, each with its 95 % interval, its repeats and their
-    spread.
-
-    ln f and ln zeta have a mean and an interval; ln delta = ln zeta / (1 - zeta^2) + ..., ln k = 2 ln f +
-    ..., ln c = ln f + ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the fit,
-    *mass* [kg] of k and c. Equation (repeats-mean).
+    spread. ln f and ln zeta have a mean and an interval; ln delta = ln zeta / (1 - zeta^2) + ..., ln k = 2 ln
+    f + ..., ln c = ln f + ln zeta + ... follow. The standard error stays that of noise alone. *dof* of the
+    fit, *mass* [kg] of k and c. Equation (repeats-mean).
     """
     entries: dict[str, Parameter] = {}
     n_mode = len(repeated.means)

@@ -23,9 +23,7 @@ PRETRIGGER = 0.2
 @dataclass(frozen=True)
 class DecayRig(Settings):
     """y = offset + sum of decaying oscillations after every hit, each hit weaker than the one before; white
-    noise on the probe.
-
-    The run *joint* has the first mode alone, with A' = -w (zeta + joint A / amplitude) A.
+    noise on the probe. The run *joint* has the first mode alone, with A' = -w (zeta + joint A / amplitude) A.
     """
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
@@ -61,10 +59,7 @@ class DecayRig(Settings):
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:
-    """The named runs: displacement y [m] with noise.
-
-    The motion after a hit replaces what is left of the one before.
-    """
+    """The named runs: displacement y [m] with noise."""
     return tuple(_run(rig, name, generator(seed, name)) for name in names)
 
 
@@ -82,9 +77,7 @@ def _run(rig: DecayRig, name: str, rng: np.random.Generator) -> Recording:
 
 def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> FloatArray:
     """The motion (n_sample,) over its first amplitude [1] at *time* (n_sample,) [s] after a hit of relative
-    *strength*.
-
-    Equation (sim-decay).
+    *strength*. Equation (sim-decay).
     """
     if name == "joint":
         return _slipping(rig, time, strength)
@@ -97,8 +90,8 @@ def motion(rig: DecayRig, name: str, time: FloatArray, strength: float) -> Float
 
 
 def _slipping(rig: DecayRig, time: FloatArray, strength: float) -> FloatArray:
-    """A' = -w (z0 + z1 A) A in closed form: A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t), for z0
-    > 0.
+    """A' = -w (z0 + z1 A) A in closed form: A = z0 A0 E / (z0 + z1 A0 (1 - E)), E = exp(-z0 w t),
+    for z0 > 0.
     """
     omega, rest = 2 * np.pi * rig.frequencies[0], max(rig.damping_ratios[0], 1e-9)
     decay = np.exp(-rest * omega * time)

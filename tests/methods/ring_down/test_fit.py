@@ -342,3 +342,13 @@ def test_what_noise_gives_several_decays_together_is_no_mode() -> None:
     assert noise_chance(pieces, found) == pytest.approx([rows * stats.chi2.sf(energy, 12)], rel=1e-9)
     with pytest.raises(FitError, match="what would be a mode at"):
         _check_fitted(pieces, found)
+
+
+def test_a_decay_without_noise_is_its_own_truth() -> None:
+    """A computed record: what is left is rounding, and no standard error."""
+    fit = fitted(record([motion(ONE, times())]))
+    assert [p.value for p in fit.parameters[:2]] == pytest.approx([40.0, 0.005], rel=1e-9)
+
+
+def test_a_band_ends_at_half_the_sampling_rate() -> None:
+    assert fitted(linear(), band=(20.0, 9000.0)).band_hz == (20.0, 512.0)
