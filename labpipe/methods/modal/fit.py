@@ -149,6 +149,18 @@ def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     return replace(fit, findings=(*fit.findings, Finding("leakage", message)))
 
 
+def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
+    """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
+    loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
+    if not loaded:
+        return ()
+    message = (
+        f"f_n and zeta of mode {', '.join(loaded)} are those with the moving mass: {FEWEST_POINTS} points or "
+        "fewer show the mode by itself. Measure more points where it moves"
+    )
+    return (Finding("moved-mode", message),)
+
+
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
     """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no
     structure has one.
@@ -465,6 +477,7 @@ def _report(
         errors = model_error.model_errors(
             measured, beyond, estimate, parameters, misfit, moved, moving=moving
         )
+    loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are no fault of the modes.
     named = errors if misfit or not shown else {}
     if misfit or errors:
@@ -487,7 +500,7 @@ def _report(
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, p_noise, named), *mass_findings(parameters)),
+        findings=(*modal_findings(estimate, p_noise, named), *loaded, *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
     )
 

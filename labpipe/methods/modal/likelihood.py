@@ -257,7 +257,7 @@ class _State:
 
     def step(self) -> tuple[FloatArray, FloatArray]:
         normal, gradient, *_ = self._schur()
-        inverse = _pseudo_inverse(normal)
+        inverse = pseudo_inverse(normal)
         return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
 
     def _schur(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, ComplexArray]:
@@ -286,7 +286,7 @@ class _State:
 
     def result(self, converged: bool, steps: int) -> Refined:
         normal, _, inverse, eliminated, psi = self._schur()
-        covariance = _pseudo_inverse(normal) / 2
+        covariance = pseudo_inverse(normal) / 2
         crossed = -eliminated @ covariance
         shape_covariance = inverse / 2 - np.einsum("omn,opn->omp", crossed, eliminated)
         n_line = self.lines.omega.size
@@ -357,8 +357,10 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     )
 
 
-def _pseudo_inverse(normal: FloatArray) -> FloatArray:
-    """Without the directions that rounding alone determines (two modes on one place)."""
+def pseudo_inverse(normal: FloatArray) -> FloatArray:
+    """The inverse of a normal matrix (n, n) [any unit] without the directions that rounding alone determines
+    (two modes on one place).
+    """
     diagonal = np.diag(normal)
     scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
     values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))

@@ -15,7 +15,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
@@ -40,8 +40,6 @@ def shape_record(
     poles, raw, participation = refined.poles[order], refined.shapes[:, order], refined.participation[order]
     scale = raw[np.argmax(np.abs(raw), axis=0), np.arange(order.size)]
     shapes = raw / scale
-    variance = np.einsum("omm->om", refined.shape_covariance)
-    std = np.sqrt(variance[:, 0::2] + variance[:, 1::2])[:, order]
     of_pole = [function for _, _, function in _of_pole(refined)]
     rows = [[function(np.array([pole.real, pole.imag])) for function in of_pole] for pole in poles]
     frequency, damping = np.array(rows).T
@@ -50,7 +48,7 @@ def shape_record(
         # A loss factor is twice the damping ratio of the same peak.
         damping / 2 if refined.hysteretic else damping,
         shapes=shapes,
-        shape_std_errors=std / np.abs(scale),
+        shape_std_errors=shape_errors(refined)[:, order],
         participation=participation,
         scale=scale,
         points=tuple(port.label for port in points),
@@ -64,6 +62,25 @@ def shape_record(
         diagram=diagram,
         returns=None if returns is None else returns[order],
     )
+
+
+def shape_errors(refined: Refined) -> FloatArray:
+    """Standard errors (n_output, n_mode) [1] of the complex shapes over their largest point, whose error all
+    points have; that of poles and participation is common to all outputs, the rest is each one's own.
+    """
+    by_poles = refined.crossed @ pseudo_inverse(refined.covariance)
+    own = refined.shape_covariance - by_poles @ refined.crossed.swapaxes(1, 2)
+    alone = np.einsum("omm->om", own)
+    alone = alone[:, 0::2] + alone[:, 1::2]
+    common = by_poles[:, 0::2] + 1j * by_poles[:, 1::2]
+    largest, modes = np.argmax(np.abs(refined.shapes), axis=0), np.arange(refined.poles.size)
+    scale = refined.shapes[largest, modes]
+    ratio = refined.shapes / scale
+    slopes = common - ratio[:, :, None] * common[largest, modes]
+    variance = alone + np.abs(ratio) ** 2 * alone[largest, modes]
+    variance += np.sum((slopes @ refined.covariance) * slopes.conj(), axis=-1).real
+    variance[largest, modes] = 0.0
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / np.abs(scale))
 
 
 def phase_collinearity(shapes: ComplexArray) -> FloatArray:

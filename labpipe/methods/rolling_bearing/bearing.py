@@ -143,8 +143,9 @@ def _case(
             "element_deflection": at.deflection[case],
             "contact_angle": state.contact_angle[case],
         },
-        lowest=passage.lowest[case],
-        highest=passage.highest[case],
+        # The cage angle of the file need not be one of the positions.
+        lowest=np.minimum(passage.lowest[case], k),
+        highest=np.maximum(passage.highest[case], k),
         notes=_notes(settings),
         shaft=_shaft(settings, k),
         findings=tuple(warnings),
