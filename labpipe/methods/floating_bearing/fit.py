@@ -73,7 +73,7 @@ from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty, Othe
 from labpipe.records.identification import Candidate, Fit, Goodness
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Uncertain, split_uncertainty
+from labpipe.records.uncertain import Uncertain, is_uncertain, split_uncertainty
 from labpipe.registry import nearest
 
 NONE = Uncertain(0.0)
@@ -348,6 +348,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *given_notes(given, solved.uncertainties, fitted),
         motion_note(stator),
         *_left_out(section, parameters),
+        *_exact_conditions(section, spectra, parameters),
         *(() if likely else (LS_NOTE,)),
     )
     shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
@@ -379,12 +380,28 @@ def _left_out(section: DynamicStiffnessSettings, parameters: Sequence[Parameter]
     return notes
 
 
+def _exact_conditions(
+    section: DynamicStiffnessSettings, spectra: ChannelSpectra, parameters: Sequence[Parameter]
+) -> list[str]:
+    """Notes on uncertainties of conditions that no interval holds."""
+    names = {parameter.name for parameter in parameters}
+    uncertain = [
+        f"{name}: {spectra.conditions[name]}"
+        for name, value in (("speed", section.speed), ("load", section.load))
+        if value is None and is_uncertain(spectra.conditions.get(name))
+    ]
+    if not uncertain or not names & {"whirl_frequency_ratio", "k_xx_synchronous", "k_xx_dimensionless"}:
+        return []
+    what = "values by the speed or the load are without the uncertainty of the condition"
+    return [f"dynamic-stiffness: the intervals of {what} {', '.join(uncertain)}."]
+
+
 def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
     section: DynamicStiffnessSettings = settings.model_settings
     mass = section.stator_mass
     if mass is None and isinstance(settings.mass, float):
         mass = dict(settings.uncertainties).get("mass", Uncertain(settings.mass))
-    if mass is not None and mass.value == 0:
+    if mass == NONE:
         mass = None
     given = Given(mass, given_baseline(section), section.motion == "absolute")
     if mass is not None and effective_forces(stator):

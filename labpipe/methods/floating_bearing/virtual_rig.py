@@ -168,6 +168,10 @@ class FloatingRig(Settings):
         if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):
             what = "a condition has the film of a journal bearing, the rig has no `journal`"
             raise SettingError("conditions", what)
+        fastest = max(condition.speed for _, condition in self.conditions) * max(len(self.runout), 1)
+        if not fastest < self.sample_rate / 2:
+            what = f"the shaft turns, or runs out, at {fastest:g} Hz, beyond half the sampling rate"
+            raise SettingError("sample_rate", what, f"above {2 * fastest:g} Hz")
         if not self.band[1] < self.sample_rate / 2:
             what = f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz"
             raise SettingError("band", what)
