@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.rolling_bearing import ratio as ratio_module
-from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix, sdof_stiffness
+from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, sdof_stiffness, transfer_matrix
 from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, _solve, log_covariance, match, overlay
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
@@ -40,7 +40,7 @@ def measured(ratio: float, bending: float, rng=None, noise: float = 0.003) -> Fr
     rows = [DOFS.index(dof) for dof in ("x", "z", "by")]
     arms = np.array([1.0, 1.0, ARM])
     h = (
-        bent_transfer_matrix(SHAFT, ratio * K, frequency, BETA, bending)[:, rows][:, :, rows]
+        transfer_matrix(SHAFT, ratio * K, frequency, BETA, bending)[:, rows][:, :, rows]
         * arms[:, None]
         * arms
     )

@@ -35,14 +35,13 @@ POSITIONS = 24
 
 @dataclass(frozen=True)
 class Passage:
-    """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] and displacement (n_position, n_case, 5) [m,
-    rad] over one passage. cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so
-    that the mean over positions is the mean over time.
+    """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] over one passage. cage_angle (n_position,)
+    [rad]: equal steps over 2 pi / z without the end point, so that the mean over positions is the mean over
+    time.
     """
 
     cage_angle: FloatArray
     stiffness: FloatArray
-    displacement: FloatArray
 
     @cached_property
     def lowest(self) -> FloatArray:
@@ -72,12 +71,7 @@ def ball_passage(
         np.tile(np.broadcast_to(values, (n_case, values.shape[-1])), (positions, 1)) for values in (f, q)
     ]
     state = equilibrium(bearing, cases[0], cases[1], fixed_dofs, np.repeat(angles, n_case))
-    n = len(DOFS)
-    return Passage(
-        angles,
-        state.stiffness.reshape(positions, n_case, n, n),
-        state.displacement.reshape(positions, n_case, n),
-    )
+    return Passage(angles, state.stiffness.reshape(positions, n_case, len(DOFS), len(DOFS)))
 
 
 UNITS = ("m", "m", "m", "rad", "rad")

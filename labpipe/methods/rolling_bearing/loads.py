@@ -263,29 +263,15 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     return Modes(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2)
 
 
-def transfer_matrix(
-    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float
-) -> ComplexArray:
-    """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)];
-    *frequency* [Hz], *beta* [s].
-
-    *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a
-    dof without stiffness, or on an undamped resonance. Equation (roll-transfer).
-    """
-    return bent_transfer_matrix(shaft, stiffness, frequency, beta, np.inf)
-
-
 def theoretical_response(
-    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, name: str = "theory"
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float
 ) -> FrequencyResponse:
-    """The transfer matrix as a frequency response, for comparison with a measured one or for a fit.
-
-    *stiffness* (5, 5) [N/m, N/rad, N m/rad], *frequency* (n_frequency,) [Hz], *beta* [s]. Raises as
-    transfer_matrix does.
+    """The transfer_matrix of a rigid shaft as a frequency response; *stiffness* (5, 5) [N/m, N/rad, N m/rad],
+    *frequency* (n_frequency,) [Hz], *beta* [s].
     """
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
     matrix = transfer_matrix(shaft, stiffness, frequency, beta)
-    return FrequencyResponse(frequency, matrix, ports, ports, form="receptance", name=name)
+    return FrequencyResponse(frequency, matrix, ports, ports, form="receptance", name="theory")
 
 
 def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray) -> FloatArray:
@@ -323,13 +309,15 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     )
 
 
-def bent_transfer_matrix(
-    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float
+def transfer_matrix(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float = np.inf
 ) -> ComplexArray:
-    """Receptance H(w) = (-w^2 M + K_total(w))^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)].
+    """Receptance H(w) = (K_total(w) - w^2 M)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)].
 
-    The bearing's (1 + j w beta) K, *beta* [s], in series with the bending shaft [N/m], which has no losses;
-    *frequency* [Hz]. FitError where the dynamic stiffness is singular.
+    K_total: (1 + j w beta) K of the bearing, *stiffness* (5, 5) [N/m, N/rad, N m/rad], *beta* [s], in series
+    with the *bending* shaft [N/m], which has no losses; *frequency* [Hz]. FitError where the dynamic
+    stiffness is singular: at 0 Hz with a dof without stiffness, or on an undamped resonance. Equation
+    (roll-transfer).
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)

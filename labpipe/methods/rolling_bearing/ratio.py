@@ -19,7 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import VISCOUS, FitSettings
-from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix
+from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, transfer_matrix
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
 from labpipe.records.finding import NORMAL, Parameter
@@ -164,10 +164,10 @@ def _solve(
 
 
 def _coefficient(fit: Fit, name: str) -> Parameter:
-    coefficient = next((parameter for parameter in fit.parameters if parameter.name == name), None)
-    if coefficient is None:
-        raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
-    return coefficient
+    for parameter in fit.parameters:
+        if parameter.name == name:
+            return parameter
+    raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
 
 
 def _logarithms(fit: Fit) -> FloatArray:
@@ -221,10 +221,8 @@ def _theory_curve(
     curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
 ) -> ComplexArray:
     frequency = curve.response.frequency
-    receptance = (
-        bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
-    )
-    return receptance * receptance_factor(curve.response.form, frequency)
+    receptance = transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place]
+    return receptance * curve.arms * receptance_factor(curve.response.form, frequency)
 
 
 def _curve(
@@ -240,22 +238,17 @@ def _curve(
         raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint=hint)
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
     column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
-    lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)
-    element = row * len(response.inputs) + column
-    covariance = (
-        None
-        if response.covariance is None
-        else response.covariance[lines][:, element, None][:, :, element, None]
-    )
+    lines = lines_in(response.frequency, None if whole else fit.band_hz)
+    element, covariance = [row * len(response.inputs) + column], response.covariance
     part = FrequencyResponse(
         response.frequency[lines],
-        response.matrix[lines][:, row, None][:, :, column, None],
+        response.matrix[lines][:, [row]][:, :, [column]],
         # Fits of the theory's curve give values alone: no uncertainty of a sensor need be propagated in each
         # of them.
         (replace(response.outputs[row], uncertainties=()),),
         (replace(response.inputs[column], uncertainties=()),),
         form=response.form,
-        covariance=covariance,
+        covariance=None if covariance is None else covariance[lines][:, element][:, :, element],
         averages=response.averages,
         covariance_dof=response.covariance_dof,
     )
@@ -339,12 +332,12 @@ def joint_covariance(
 
 
 def _one_factor(mean: WeightedFit) -> str:
-    if mean.inflated:
-        return (
-            f" One factor does not hold for all tests (p = {mean.p_value:.2g}); the interval is widened by "
-            "their scatter."
-        )
-    return "" if mean.p_value is None else f" One factor holds for all tests (p = {mean.p_value:.2g})."
+    if mean.p_value is None:
+        return ""
+    if not mean.inflated:
+        return f" One factor holds for all tests (p = {mean.p_value:.2g})."
+    what = f"One factor does not hold for all tests (p = {mean.p_value:.2g})"
+    return f" {what}; the interval is widened by their scatter."
 
 
 def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) -> tuple[ComparedPoint, ...]:
