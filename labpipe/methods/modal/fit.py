@@ -41,7 +41,7 @@ from labpipe.methods.modal.whole_covariance import (
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
-from labpipe.records.response import BlockCovariance, FrequencyResponse, Port, shown_ports
+from labpipe.records.response import BlockCovariance, FrequencyResponse, shown_ports
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 
@@ -135,20 +135,6 @@ def modal_findings(
     return tuple(warnings)
 
 
-def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
-    if not narrow:
-        return fit
-    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
-    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
-    message = (
-        f"half-power widths of {model_error.LEAST_LINES:g} lines or less: {places}. The window of the "
-        "analyser, and how much leaked, decide such a peak: its damping, and whether a second mode seems to "
-        "stand beside it. The interval of the damping holds what a Hann window may add to it. Measure with "
-        "finer lines (a longer `block`), or say `window:` in the entry of an FRF file under frfs:"
-    )
-    return replace(fit, findings=(*fit.findings, Finding("leakage", message)))
-
-
 def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
     """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
     loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
@@ -225,19 +211,11 @@ class _Sides:
     by_force: bool
 
     @property
-    def points(self) -> tuple[Port, ...]:
-        return self.measured.outputs
-
-    @property
-    def references(self) -> tuple[Port, ...]:
-        return self.measured.inputs
-
-    @property
     def driving_points(self) -> tuple[model_error.DrivingPoint, ...]:
-        dofs = [port.dof for port in self.references] if self.by_force else []
+        dofs = [port.dof for port in self.measured.inputs] if self.by_force else []
         return tuple(
             model_error.DrivingPoint(row, dofs.index(port.dof), port.dof)
-            for row, port in enumerate(self.points)
+            for row, port in enumerate(self.measured.outputs)
             if port.dof in dofs
         )
 
@@ -264,68 +242,64 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
     )
-    n_point = len(sides.points)
-    if modal.moving_mass is not None and n_point <= FEWEST_POINTS:
-        what = f"of {n_point} point(s) 'moving_mass' cannot tell the structure without it"
+    points, references = sides.measured.outputs, sides.measured.inputs
+    if modal.moving_mass is not None and len(points) <= FEWEST_POINTS:
+        what = f"of {len(points)} point(s) 'moving_mass' cannot tell the structure without it"
         raise SettingError("moving_mass", what, f"measure more than {FEWEST_POINTS}")
     if modal.structure is not None:
-        modal.structure.check([port.dof for port in sides.points])
+        modal.structure.check([port.dof for port in points])
     diagram, start = _first_modes(sides.lines, modal)
     refined, terms = lscf.refine_with_terms(sides.lines, start.values, start.participation)
     refined, terms, dropped = lscf.kept_modes(sides.lines, refined, terms)
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
     # need.
-    line_noise = lscf.LineNoise(response.line_correlation)
-    whole = lscf.complete(sides.lines, refined, terms, line_noise, adding=not modal.poles)
-    sides, whole, moved, loaded = _at_mean_poles(sides, whole, line_noise, modal)
+    correlation = response.line_correlation
+    whole = lscf.complete(sides.lines, refined, terms, correlation, adding=not modal.poles)
+    sides, whole, moved, loaded = _at_mean_poles(sides, whole, correlation, modal)
     if real := modal.shapes == "real":
-        whole = lscf.with_real_modes(sides.lines, whole, line_noise)
+        whole = lscf.with_real_modes(sides.lines, whole, correlation)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
-    if not (has_noise(sides.measured) or response.line_correlation):
-        narrow = model_error.narrow_modes(estimate.refined, sides.lines)
-        fit = _with_width_findings(model_error.with_window(fit, narrow), narrow)
+    if not (has_noise(sides.measured) or correlation):
+        fit = model_error.with_window(fit, model_error.narrow_modes(estimate.refined, sides.lines))
     beside = (*loaded, *quality_findings(response, rows, columns, chosen))
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
-    modes = model_error.shape_record(
-        estimate.refined,
-        terms,
-        sides.points,
-        sides.references,
-        sides.forces_move,
-        _diagram_record(sides.lines, diagram),
-        diagram.returns(estimate.refined.poles, estimate.refined.participation),
+    refined = estimate.refined
+    returns = diagram.returns(refined.poles, refined.participation)
+    record = _diagram_record(sides.lines, diagram)
+    driving = model_error.strongest_points(refined, sides.driving_points)
+    modes = replace(
+        model_error.shape_record(refined, terms, points, references, sides.forces_move, record, returns),
+        driving_points=tuple(place.dof for place in driving),
+        geometry=modal.structure,
     )
-    driving = tuple(
-        place.dof for place in model_error.strongest_points(estimate.refined, sides.driving_points)
-    )
-    modes = replace(modes, driving_points=driving, geometry=modal.structure)
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
 
 def _at_mean_poles(
-    sides: _Sides, whole: lscf.Completed, noise: lscf.LineNoise, modal: ModalSettings
+    sides: _Sides, whole: lscf.Completed, correlation: tuple[complex, ...], modal: ModalSettings
 ) -> tuple[_Sides, lscf.Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
     moving = modal.moving_mass is not None
-    lines, whole, moved, loaded = with_moved_modes(sides.lines, whole, noise, moving=moving)
+    lines, whole, moved, loaded = with_moved_modes(sides.lines, whole, correlation, moving=moving)
     return replace(sides, lines=lines, measured=aligned_measured(sides.measured, moved)), whole, moved, loaded
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
-    is_hysteretic = settings.damping != VISCOUS
-    for key, written, given in (
-        ("shapes", "shapes: real", modal.shapes == "real"),
-        ("moving_mass", "moving_mass", modal.moving_mass is not None),
-    ):
-        if is_hysteretic and given:
-            what = f"'{written}' cannot be combined with {settings.damping} damping"
+    if settings.damping == VISCOUS:
+        return False
+    for written, given in (("shapes: real", modal.shapes == "real"), ("moving_mass", modal.moving_mass)):
+        if given:
+            key, what = (
+                written.split(":")[0],
+                f"'{written}' cannot be combined with {settings.damping} damping",
+            )
             raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
-    return is_hysteretic
+    return True
 
 
 def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
@@ -420,13 +394,12 @@ def _highest_order(n_line: int, modal: ModalSettings) -> int:
 def _by_hand(
     equations: lscf.NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
 ) -> lscf.Poles:
-    frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
-    outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
-    if outside.size:
-        inside = f"{edges[0] / (2 * np.pi):g} to {edges[1] / (2 * np.pi):g} Hz"
-        what = f"the pole {outside[0] / (2 * np.pi):g} Hz lies outside the band"
-        raise SettingError("poles", what, f"the lines go from {inside}")
-    return lscf.nearest_modes(equations, frequencies, highest)
+    low, high = (edge / (2 * np.pi) for edge in edges)
+    for pole in sorted(modal.poles):
+        if not low <= pole <= high:
+            what = f"the pole {pole:g} Hz lies outside the band"
+            raise SettingError("poles", what, f"the lines go from {low:g} to {high:g} Hz")
+    return lscf.nearest_modes(equations, 2 * np.pi * np.sort(modal.poles), highest)
 
 
 def _check_start(start: lscf.Poles, lines: Lines, highest: int, modal: ModalSettings) -> None:
@@ -501,7 +474,7 @@ def _report(
         converged=refined.converged,
         iterations=refined.steps,
         findings=(*modal_findings(estimate, p_noise, named), *loaded, *mass_findings(parameters)),
-        notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
+        notes=modal_notes(estimate, whole, len(measured.inputs), sides.forces_move),
     )
 
 

@@ -408,8 +408,8 @@ def _shape_columns(participation: ComplexArray) -> FloatArray:
     """Coefficients of (u, v) of every mode per Re and Im of psi, (n_input, 2 n_mode, 2 n_mode): R = psi l."""
     n_mode, n_input = participation.shape
     columns = np.zeros((n_input, 2 * n_mode, 2 * n_mode))
-    for mode in range(n_mode):
-        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turn(participation[mode])
+    for mode, factors in enumerate(participation):
+        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turn(factors)
     return columns
 
 

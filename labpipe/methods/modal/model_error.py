@@ -18,7 +18,7 @@ from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
 from labpipe.methods.modal.whole_covariance import ModalEstimate
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
@@ -534,8 +534,18 @@ def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
     Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
     convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so masses, are areas,
-    which a window leaves; c = 2 zeta w_n m follows zeta.
+    which a window leaves; c = 2 zeta w_n m follows zeta. A warning names the modes.
     """
+    if not narrow:
+        return fit
+    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
+    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
+    message = (
+        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
+        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
+        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
+        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
+    )
     left = {
         f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
         for number, width in narrow.items()
@@ -547,4 +557,4 @@ def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
         else parameter
         for parameter in fit.parameters
     )
-    return replace(fit, parameters=parameters)
+    return replace(fit, parameters=parameters, findings=(*fit.findings, Finding("leakage", message)))
