@@ -243,7 +243,6 @@ def _without_contents(canvas: Canvas) -> Canvas:
 
 
 def _scales(axes: Axes, chart: Chart, number: int) -> None:
-    """Scales, ends and numbers of both axes; where panels move together only the outer ones have numbers."""
     panel = chart.panels[number]
     for which, axis in (("x", panel.x), ("y", panel.y)):
         limits = chart.limits(number, which)

@@ -89,13 +89,12 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     usable = [fit for fit in fits if fit.detail(DynamicStiffness) is not None]
     baselines = [fit for fit in usable if fit.name == name] or [fit for fit in usable if fit.test == name]
     if not baselines:
-        hint = nearest(name, [fit.name for fit in usable])
-        what = f"baseline: no earlier fit '{name}' of model dynamic-stiffness"
-        raise ConfigError(what, hint=f"fits are made in their order; {hint}")
+        hint = f"fits are made in their order; {nearest(name, [fit.name for fit in usable])}"
+        raise ConfigError(f"baseline: no earlier fit '{name}' of model dynamic-stiffness", hint=hint)
     if len(baselines) > 1:
-        tests = ", ".join(fit.test for fit in baselines)
-        what = f"baseline: '{name}' has {len(baselines)} results ({tests})"
-        raise ConfigError(what, hint="say `test:` in the fit of the baseline")
+        what = f"{len(baselines)} results ({', '.join(fit.test for fit in baselines)})"
+        hint = "say `test:` in the fit of the baseline"
+        raise ConfigError(f"baseline: '{name}' has {what}", hint=hint)
     own = replace(settings.model_settings, fitted_baseline=baseline_of(baselines[0]))
     return replace(settings, model_settings=own)
 
@@ -112,13 +111,8 @@ def baseline_of(fit: Fit) -> Baseline:
     scale = np.where(errors > 0, errors, 1.0)
     values, vectors = np.linalg.eigh(shown.noise / np.outer(scale, scale))
     changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
-    return Baseline(
-        fitted_model(shown),
-        shown.values,
-        (GivenUncertainty(label, changes), *shown.uncertainties),
-        fit.name,
-        fit.test,
-    )
+    uncertainties = (GivenUncertainty(label, changes), *shown.uncertainties)
+    return Baseline(fitted_model(shown), shown.values, uncertainties, fit.test)
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
@@ -142,12 +136,8 @@ def given_baseline(section: DynamicStiffnessSettings) -> Baseline | None:
         for place, (name, number, unit) in enumerate(pairs)
         if number.std_error > 0
     )
-    return Baseline(
-        StiffnessModel(FORMS["kc"], "isotropic"),
-        np.array([stiffness.value, damping.value]),
-        uncertainties,
-        "given numbers",
-    )
+    model = StiffnessModel(FORMS["kc"], "isotropic")
+    return Baseline(model, np.array([stiffness.value, damping.value]), uncertainties)
 
 
 # Functions of the real and of the imaginary part of H, by form.
@@ -243,9 +233,9 @@ def _bic(candidate: Candidate) -> float:
 
 
 def _candidate(form: str, best: Estimate, n_equation: int) -> Candidate:
-    n = best.values.size
-    bic = best.squares + n * float(np.log(n_equation))
-    return Candidate(form, n, best.squares, best.dof, best.squares + 2 * n, bic=bic, chi2_p=best.p_value)
+    n, chi2 = best.values.size, best.squares
+    bic = chi2 + n * float(np.log(n_equation))
+    return Candidate(form, n, chi2, best.dof, chi2 + 2 * n, bic=bic, chi2_p=best.p_value)
 
 
 def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> tuple[Finding, ...]:
@@ -363,27 +353,29 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
 
 
+NO_DIMENSIONLESS = "no coefficients without dimension: they need a speed, a load, and another form than bands"
+NO_ONSET = (
+    "no onset speed: it needs form kc or kcm with cross terms, motion against the shaft, a speed, and a "
+    "bearing that whirls"
+)
+
+
 def _left_out(section: DynamicStiffnessSettings, parameters: Sequence[Parameter]) -> list[str]:
-    """Notes on what was asked for and cannot be given."""
+    asked = (
+        (section.clearance, "k_xx_dimensionless", NO_DIMENSIONLESS),
+        (section.rotor_mass, "onset_speed", NO_ONSET),
+    )
     names = {parameter.name for parameter in parameters}
-    notes = []
-    if section.clearance is not None and "k_xx_dimensionless" not in names:
-        notes.append(
-            "dynamic-stiffness: no coefficients without dimension: they need a speed, a load, and another "
-            "form than bands."
-        )
-    if section.rotor_mass is not None and "onset_speed" not in names:
-        notes.append(
-            "dynamic-stiffness: no onset speed: it needs form kc or kcm with cross terms, motion against the "
-            "shaft, a speed, and a bearing that whirls."
-        )
-    return notes
+    return [
+        f"dynamic-stiffness: {note}."
+        for given, name, note in asked
+        if given is not None and name not in names
+    ]
 
 
 def _exact_conditions(
     section: DynamicStiffnessSettings, spectra: ChannelSpectra, parameters: Sequence[Parameter]
 ) -> list[str]:
-    """Notes on uncertainties of conditions that no interval holds."""
     names = {parameter.name for parameter in parameters}
     uncertain = [
         f"{name}: {spectra.conditions[name]}"
@@ -401,18 +393,19 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
     mass = section.stator_mass
     if mass is None and isinstance(settings.mass, float):
         mass = dict(settings.uncertainties).get("mass", Uncertain(settings.mass))
-    if mass == NONE:
-        mass = None
+    mass = None if mass == NONE else mass
     given = Given(mass, given_baseline(section), section.motion == "absolute")
     if mass is not None and effective_forces(stator):
         what = "the forces are without the stator's inertia already"
         raise SettingError("stator_mass", what, "stator_mass: 0 kg")
     if given.accelerated and not stator.accelerated and not given.absolute:
-        what = "mass of the stator" if mass is not None else "baseline"
-        what = f"the {what} acts with the stator's absolute motion, and there are no accelerations"
+        what = (
+            f"the {'baseline' if mass is None else 'mass of the stator'} acts with the stator's absolute "
+            "motion, and there are no accelerations: displacements against the shaft, which moves too, are "
+            "not that"
+        )
         hint = "measure accelerations in x and y; motion: absolute where the displacements are absolute"
-        not_that = "displacements against the shaft, which moves too, are not that"
-        raise ConfigError(f"{what}: {not_that}", hint=hint)
+        raise ConfigError(what, hint=hint)
     return given
 
 

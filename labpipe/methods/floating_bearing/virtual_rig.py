@@ -324,7 +324,6 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
 
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
-    """Amplitudes (n_sample // 2 + 1, 2) [N]: a multisine times *shares*, or its lines in turn."""
     design = design_multisine(rig.band, rig.spacing, rig.force)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)

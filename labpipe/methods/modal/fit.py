@@ -49,14 +49,9 @@ from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 def _sources(
     settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
-    """Changes of the parameters (n_parameter,) [parameter units] by the mass and by every source in the FRFs'
-    sensors and sums.
-
-    Directions count where two points or more of known direction tell the motion in their plane, likewise two
-    forces.
-
-    One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is
-    repeated. None where the Jacobian is too large to be held in memory.
+    """By one step of Gauss-Newton from the estimate, p - (J^T J)^-1 J^T W dH, no fit is repeated; by the mass
+    alone where the Jacobian is too large to be held in memory. Directions count where two points or more of
+    known direction tell the motion in their plane, likewise two forces.
     """
     refined, measured = estimate.refined, sides.measured
     of_mass = mass_source(_parameters(settings, sides, estimate, refined), settings)
@@ -319,8 +314,8 @@ def _beyond(
     sides: _Sides,
     refined: Refined,
 ) -> Measured:
-    """The same FRFs in a wider band, the lines around it that a mode must survive: by BEYOND of the band, or
-    by the largest half-power width that it does not hold three times.
+    """The lines around the band that a mode must survive: BEYOND of it, or the largest half-power width that
+    it does not hold three times.
     """
     whole = band[1] - band[0]
     widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
@@ -359,9 +354,8 @@ def _turn(measured: Measured) -> Measured:
 
 
 def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf.Poles]:
-    """The stabilisation diagram and the modes to begin with, as it shows them or as they are named.
-
-    Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked at.
+    """Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked
+    at.
     """
     edges = float(lines.omega[0]), float(lines.omega[-1])
     omega, matrix, highest = lines.omega, lines.matrix, _highest_order(lines.omega.size, modal)

@@ -211,9 +211,7 @@ def _of_pole(refined: Refined) -> tuple[tuple[str, str, Function], ...]:
 def _pole_and_residue(
     refined: Refined, mode: int, driving: DrivingPoint | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Re, Im of the pole, and of shape and participation at the driving point, (2,) or (6,), with their
-    covariance.
-    """
+    """Re, Im of the pole, and of shape and participation at the driving point, (2,) or (6,)."""
     pole = refined.poles[mode]
     at = [2 * mode, 2 * mode + 1]
     if driving is None:
@@ -312,7 +310,7 @@ def model_errors(
 def _judge(
     measured: Measured, wide: Measured, estimate: ModalEstimate, mode: int, scatter: FloatArray | None
 ) -> tuple[_Band, Fitted, Mixture]:
-    """Band, fit and mixture of a mode; of the lines next to it where its band shows a stronger one."""
+    """Of the lines next to the mode where its band shows a stronger one."""
     pole = complex(estimate.refined.poles[mode])
     f_r, half = abs(pole) / (2 * np.pi), HALF_JUDGED * -2 * pole.real / (2 * np.pi)
     edges = _widen(measured, pole)

@@ -283,7 +283,7 @@ def _groups(poles: Poles, counted: list[int]) -> IntArray:
 def _least_biased(
     equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]
 ) -> Poles:
-    """By the constraint of least bias: at each high order the nearest pole, then the median."""
+    """At each high order the nearest pole by the constraint of least bias, then the median."""
     n_mode = int(group.max(initial=-1)) + 1
     centre = np.empty(n_mode, np.complex128)
     participation = np.empty((n_mode, equations.n_input), np.complex128)
@@ -337,7 +337,6 @@ def shared_power(correlation: tuple[complex, ...]) -> float:
 
 
 def _even(flat: ComplexArray) -> ComplexArray:
-    """Relative to the root mean square of the AROUND lines about each."""
     kernel = np.ones(min(AROUND, flat.shape[0]))
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
     sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
@@ -444,7 +443,6 @@ def kept_modes(
 
 
 def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Modes inside the band, narrower than it, and such that stand out of the noise, (n_mode,) each."""
     frequency, decay = np.abs(refined.poles), -refined.poles.real
     low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)

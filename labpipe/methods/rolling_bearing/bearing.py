@@ -16,13 +16,15 @@ from labpipe.bearings import kinds
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import (
     DOFS,
+    LOAD_UNITS,
+    LOADS,
+    RADIAL,
     RollingBearing,
     modes,
     sdof_stiffness,
     theoretical_response,
 )
 from labpipe.methods.rolling_bearing.settings import (
-    LOAD_OF_DOF,
     BallBearingSettings,
     RollerBearingSettings,
     RollingSettings,
@@ -75,7 +77,6 @@ def ball_passage(
 
 
 UNITS = ("m", "m", "m", "rad", "rad")
-LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[kinds.BearingCoefficients]:
@@ -91,9 +92,7 @@ def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[kinds.Bear
 def _group(
     bearing: RollingBearing, fixed_dofs: tuple[str, ...], settings: Sequence[RollingSettings]
 ) -> list[kinds.BearingCoefficients]:
-    loads = np.array(
-        [[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings]
-    )
+    loads = np.array([[getattr(entry.loads, load) or 0.0 for load in LOADS] for entry in settings])
     moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
     state = equilibrium(bearing, loads, moves, fixed_dofs, np.array([entry.cage_angle for entry in settings]))
     passage = ball_passage(bearing, loads, moves, fixed_dofs)
@@ -111,7 +110,7 @@ def _case(
 ) -> kinds.BearingCoefficients:
     k, at = state.stiffness[case], state.contacts
     rest = _amounts(DOFS, state.displacement[case], UNITS)
-    rest += _amounts([f"load_{name}" for name in LOAD_OF_DOF.values()], state.load[case], LOAD_UNITS)
+    rest += _amounts([f"load_{name}" for name in LOADS], state.load[case], LOAD_UNITS)
     loaded = int(np.sum(at.load[case] > 0))
     warnings = []
     if state.mirrored[case]:
@@ -199,7 +198,7 @@ class RollingOnRotor:
 def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> kinds.BearingCoefficients:
     (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
     free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.fixed_dofs)]
-    k, a = whole.stiffness, [DOFS.index("x"), DOFS.index("y")]
+    k, a = whole.stiffness, list(RADIAL)
     coupling = (
         np.linalg.lstsq(k[np.ix_(free, free)], k[np.ix_(free, a)], rcond=None)[0]
         if free
@@ -212,11 +211,14 @@ def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> kinds.
 
 
 def _mount(settings: RollingSettings) -> kinds.Bearing:
-    for load in ("x", "y"):
-        if getattr(settings.loads, load) is not None:
-            raise kinds.not_on_rotor(f"loads.{load}")
-        if getattr(settings.displacements, load) is not None:
-            raise kinds.not_on_rotor(f"displacements.{load}")
+    for section, direction in (
+        ("loads", "x"),
+        ("displacements", "x"),
+        ("loads", "y"),
+        ("displacements", "y"),
+    ):
+        if getattr(getattr(settings, section), direction) is not None:
+            raise kinds.not_on_rotor(f"{section}.{direction}")
     if settings.shaft is not None:
         raise kinds.not_on_rotor("shaft")
     return RollingOnRotor(settings)

@@ -20,6 +20,8 @@ from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.loads import (
     DOFS,
+    LOAD_UNITS,
+    LOADS,
     Contacts,
     ElementFrame,
     RollingBearing,
@@ -27,9 +29,6 @@ from labpipe.methods.rolling_bearing.loads import (
     load_sum,
     stiffness_sum,
 )
-
-LOADS = ("x", "y", "z", "mx", "my")
-UNITS = ("N", "N", "N", "N m", "N m")
 
 
 def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Sequence[str]) -> None:
@@ -66,7 +65,7 @@ def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> No
     """Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]."""
     acting = ", ".join(
         f"{name} {amount:.4g} {unit}"
-        for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True)
+        for name, amount, unit in zip(LOADS, loads[case], LOAD_UNITS, strict=True)
         if amount
     )
     what = f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}"

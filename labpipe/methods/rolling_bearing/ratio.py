@@ -171,7 +171,6 @@ def _coefficient(fit: Fit, name: str) -> Parameter:
 
 
 def _logarithms(fit: Fit) -> FloatArray:
-    """ln k and ln c, (2,)."""
     values = [_coefficient(fit, name).value for name in COEFFICIENTS]
     for name, value in zip(COEFFICIENTS, values, strict=True):
         if not value > 0:
@@ -382,7 +381,6 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
-    """ln(c / k) and its covariance (n, n), by each fit and by what the fits have in common."""
     logs = np.array([_logarithms(fit) @ BETA for fit in fits])
     variances = np.diag([BETA @ log_covariance(fit) @ BETA for fit in fits])
     common = common_changes(fits, lambda fit, source: float(_log_change(fit, source) @ BETA))

@@ -188,7 +188,6 @@ def lever(rig: VirtualBallBearingRig) -> FloatArray:
 
 
 def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) -> virtual_rigs.SimulatedRun:
-    """Accelerations x, z and by (at the arm) under the multisine of one shaker, in the steady state."""
     rng, sampling, shaft = virtual_rigs.generator(seed, name), rig.sampling, test.tested.bearing.shaft
     assert shaft is not None
     preload = true_preload(rig, test, seed)
