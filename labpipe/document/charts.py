@@ -403,8 +403,10 @@ def _line(axes: Axes, series: Series) -> Artist:
             axes.fill_between(series.x, series.low, series.high, **shade)
         else:
             cap = CAP if series.size >= LEAST_CAPPED else 0.0
-            reach = np.nan_to_num(np.abs(np.array([series.low, series.high]) - series.y))
-            axes.errorbar(series.x, series.y, reach, fmt="none", ecolor=colour, elinewidth=0.8, capsize=cap)
+            # An interval need not hold its value.
+            inside = np.fmin(np.fmax(series.y, series.low), series.high)
+            reach = np.nan_to_num(np.abs(np.array([series.low, series.high]) - inside))
+            axes.errorbar(series.x, inside, reach, fmt="none", ecolor=colour, elinewidth=0.8, capsize=cap)
     look: dict[str, Any] = {"color": colour, "linestyle": series.line or "none", "linewidth": series.width}
     if series.marker:
         look |= {"marker": series.marker, "markersize": series.size * (2 if series.marker == "." else 1)}

@@ -50,6 +50,12 @@ class TestedBearing(Settings):
         self.require_not_negative("preloads")
         if self.bearing.shaft is None:
             raise ConfigError("bearing.shaft: is missing", hint="the rig needs the shaft's mass and inertia")
+        for given, name, of in (
+            (self.bearing.loads.z is not None, "loads.z", "preloads"),
+            (self.bearing.damping_factor > 0, "damping_factor", "its own damping_factor"),
+        ):
+            if given:
+                raise SettingError("bearing", f"bearing.{name}: the rig sets it by {of}", "leave it out")
         self.require_positive("bending_stiffness")
         if len({f"{preload:g}" for preload in self.preloads}) < max(len(self.preloads), 1):
             raise SettingError("preloads", "'preloads' names none, or one twice", "[427 N, 701 N]")
