@@ -94,18 +94,15 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
     (ds-residual).
     """
     h = stiffness[:, None]
-    of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
-    s = (
-        balance.right_covariance
-        - balance.cross.conj().swapaxes(-1, -2) @ h.conj().swapaxes(-1, -2)
-        - h @ of_motion
-    )
+    turned = h.conj().swapaxes(-1, -2)
+    of_motion = balance.cross - balance.motion_covariance @ turned
+    s = balance.right_covariance - balance.cross.conj().swapaxes(-1, -2) @ turned - h @ of_motion
     l_xx = np.sqrt(s[..., 0, 0].real)
     l_yx = s[..., 1, 0] / l_xx
     l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
-    plain = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
-    white = Whitened(plain.whiten(plain.white), balance.motion, l_xx, l_yx, l_yy)
-    return Whitened(white.white, balance.motion - times(of_motion, white.weighted()), l_xx, l_yx, l_yy)
+    state = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
+    state = replace(state, white=state.whiten(state.white))
+    return replace(state, smoothed=balance.motion - times(of_motion, state.weighted()))
 
 
 class ErrorsInVariables:
