@@ -231,10 +231,9 @@ class _State:
         """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that
         it has for itself.
         """
-        psi, _ = self._shapes()
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
         dof = max(self.lines.omega.size - n_per_element, 1.0)
-        return replace(self, variance=_rss(self.sums, self.participation, psi) / dof)
+        return replace(self, variance=self._rss(self._shapes()[0]) / dof)
 
     def after(self, step: FloatArray) -> _State | None:
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
@@ -248,12 +247,35 @@ class _State:
         return replace(self, sums=sums, poles=poles, participation=participation)
 
     def _shapes(self) -> tuple[ComplexArray, FloatArray]:
-        return shapes_of(self.sums, self.participation, self.variance, real=self.real)
+        """Shapes (n_output, n_mode) of least misfit, imaginary of real modes, and the inverse of their normal
+        matrices (n_output, 2 n_mode, 2 n_mode).
+        """
+        k, chosen = 2 * self.n_mode, slice(1, None, 2) if self.real else slice(None)
+        columns = _shape_columns(self.participation)[:, :, chosen]
+        single = columns.swapaxes(1, 2) @ self.sums.gram[:k, :k] @ columns
+        normal = np.tensordot(1 / self.variance, single, 1)
+        right_side = np.sum((self.sums.data[:k] / self.variance).transpose(2, 1, 0) @ columns, axis=0)
+        scale = np.sqrt(np.einsum("omm->om", normal))
+        scales = scale[:, :, None] * scale[:, None, :]
+        try:
+            inverse = np.linalg.inv(normal / scales)
+        except np.linalg.LinAlgError:
+            inverse = np.linalg.pinv(normal / scales, rcond=ROUNDING, hermitian=True)
+        whole, values = np.zeros((normal.shape[0], k, k)), np.zeros((normal.shape[0], k))
+        whole[:, chosen, chosen] = inverse / scales
+        values[:, chosen] = np.einsum("omn,on->om", whole[:, chosen, chosen], right_side)
+        return values[:, 0::2] + 1j * values[:, 1::2], whole
+
+    def _rss(self, psi: ComplexArray) -> FloatArray:
+        coefficients, sums = _coefficients(self.participation, psi), self.sums
+        k = coefficients.shape[-1]
+        fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])
+        square = np.sum(coefficients * (coefficients @ sums.gram[:k, :k]), axis=-1)
+        return np.maximum(sums.size - 2 * fitted + square, 1e-15 * sums.size)
 
     @property
     def chi2(self) -> float:
-        psi, _ = self._shapes()
-        return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
+        return float(np.sum(self._rss(self._shapes()[0]) / self.variance))
 
     def step(self) -> tuple[FloatArray, FloatArray]:
         normal, gradient, *_ = self._schur()
@@ -278,11 +300,22 @@ class _State:
         return d - b.reshape(-1, n).T @ eliminated.reshape(-1, n), gradient, inverse, eliminated, psi
 
     def theta_columns(self, psi: ComplexArray) -> FloatArray:
-        """As _theta_columns; real modes have a real participation."""
-        columns = _theta_columns(self.participation, psi)
+        """Coefficients of all functions per parameter, (n_output, n_input, 4 n_mode, n)."""
+        n_mode, n_input = self.participation.shape
+        rows, columns = _free(self.participation)
+        values = np.zeros((psi.shape[0], n_input, 4 * n_mode, 2 * n_mode + 2 * len(rows)))
+        residue = psi[:, None, :] * self.participation.T[None]
+        for mode in range(n_mode):
+            # d / d Re lambda has the residue R on the squared denominators, d / d Im lambda has j R.
+            at = 2 * n_mode + 2 * mode
+            values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turn(residue[:, :, mode])
+        for number, (mode, column) in enumerate(zip(rows, columns, strict=True)):
+            at = 2 * n_mode + 2 * number
+            values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turn(psi[:, mode])
         if self.real:
-            columns[..., 2 * self.n_mode + 1 :: 2] = 0.0
-        return columns
+            # The participation is real as well.
+            values[..., 2 * n_mode + 1 :: 2] = 0.0
+        return values
 
     def result(self, converged: bool, steps: int) -> Refined:
         normal, _, inverse, eliminated, psi = self._schur()
@@ -290,8 +323,7 @@ class _State:
         crossed = -eliminated @ covariance
         shape_covariance = inverse / 2 - np.einsum("omn,opn->omp", crossed, eliminated)
         n_line = self.lines.omega.size
-        rss = _rss(self.sums, self.participation, psi)
-        information = 2 * n_line * float(np.sum(np.log(rss)))
+        information = 2 * n_line * float(np.sum(np.log(self._rss(psi))))
         modes = self.poles, self.participation, psi, covariance, shape_covariance, crossed
         return Refined(*modes, self.variance, information, converged, steps, self.lines.hysteretic)
 
@@ -422,60 +454,7 @@ def _turn(factor: ComplexArray) -> FloatArray:
     return matrices
 
 
-def _theta_columns(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
-    """Coefficients of all functions per parameter, (n_output, n_input, 4 n_mode, n)."""
-    n_mode, n_input = participation.shape
-    rows, columns = _free(participation)
-    n = 2 * n_mode + 2 * len(rows)
-    values = np.zeros((psi.shape[0], n_input, 4 * n_mode, n))
-    residue = psi[:, None, :] * participation.T[None]
-    for mode in range(n_mode):
-        # d / d Re lambda has the residue R on the squared denominators, d / d Im lambda has j R.
-        at = 2 * n_mode + 2 * mode
-        values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turn(residue[:, :, mode])
-    for number, (mode, column) in enumerate(zip(rows, columns, strict=True)):
-        at = 2 * n_mode + 2 * number
-        values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turn(psi[:, mode])
-    return values
-
-
-def shapes_of(
-    sums: _Sums, participation: ComplexArray, variance: FloatArray, *, real: bool = False
-) -> tuple[ComplexArray, FloatArray]:
-    """Shapes (n_output, n_mode) of least misfit, and the inverse of their normal matrices (n_output, 2
-    n_mode, 2 n_mode).
-
-    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit]; *real*
-    modes: shapes are imaginary, and the inverse is zero for their real parts.
-    """
-    k = 2 * participation.shape[0]
-    chosen = slice(1, None, 2) if real else slice(None)
-    columns = _shape_columns(participation)[:, :, chosen]
-    single = columns.swapaxes(1, 2) @ sums.gram[:k, :k] @ columns
-    normal = np.tensordot(1 / variance, single, 1)
-    right_side = np.sum((sums.data[:k] / variance).transpose(2, 1, 0) @ columns, axis=0)
-    scale = np.sqrt(np.einsum("omm->om", normal))
-    scaled = normal / (scale[:, :, None] * scale[:, None, :])
-    try:
-        inverse = np.linalg.inv(scaled)
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(scaled, rcond=ROUNDING, hermitian=True)
-    whole = np.zeros((normal.shape[0], k, k))
-    whole[:, chosen, chosen] = inverse / (scale[:, :, None] * scale[:, None, :])
-    values = np.zeros((normal.shape[0], k))
-    values[:, chosen] = np.einsum("omn,on->om", whole[:, chosen, chosen], right_side)
-    return values[:, 0::2] + 1j * values[:, 1::2], whole
-
-
 def _coefficients(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
     """Of u, v of every mode: real and imaginary part of the residues in turn."""
     residue = psi[:, None, :] * participation.T[None]
     return np.stack([residue.real, residue.imag], axis=-1).reshape(*residue.shape[:2], -1)
-
-
-def _rss(sums: _Sums, participation: ComplexArray, psi: ComplexArray) -> FloatArray:
-    coefficients = _coefficients(participation, psi)
-    k = coefficients.shape[-1]
-    fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])
-    square = np.sum(coefficients * (coefficients @ sums.gram[:k, :k]), axis=-1)
-    return np.maximum(sums.size - 2 * fitted + square, 1e-15 * sums.size)

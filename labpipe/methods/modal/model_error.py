@@ -31,7 +31,7 @@ def shape_record(
     references: Sequence[Port],
     forces_move: bool,
     diagram: StabilisationDiagram | None,
-    returns: FloatArray | None = None,
+    returns: FloatArray,
 ) -> Modes:
     """The record of the modes in ascending frequency, every shape 1 at its largest point; *returns* (n_mode,)
     [1] in the order of *refined*.
@@ -60,7 +60,7 @@ def shape_record(
         lower=terms.lower,
         upper=terms.upper,
         diagram=diagram,
-        returns=None if returns is None else returns[order],
+        returns=returns[order],
     )
 
 
