@@ -42,6 +42,7 @@ from labpipe.methods.floating_bearing.settings import (
     Baseline,
     DynamicStiffnessSettings,
     Given,
+    SmearedBalance,
     balance_of,
     contradictions,
     errors_by_given,
@@ -306,7 +307,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     stator = stator_of(spectra, band, settings.input, settings.output)
     given = _given_numbers(settings, stator)
     balance = balance_of(stator, given)
-    noise, solved = stator.noise, _solved_fit(stator, given, balance, settings)
+    smeared = smeared_balance(stator, given, balance)
+    noise, solved = stator.noise, _solved_fit(stator, given, balance, settings, smeared)
     likely = settings.estimates.likelihood
     best = solved.best
     error = stator_error(best, balance, noise) if likely else BalanceError(best.covariance)
@@ -321,7 +323,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     valued = (*main, *others, *dimensionless(main, section, load, speed))
     parameters, budget = budgeted(valued, solved.uncertainties, best.dof)
     fit = _report(settings, balance, solved, whole_band, error.named(parameters))
-    smeared = smeared_balance(stator, given, balance)
     stiffness = functools.partial(best.model.stiffness, best.values)
     findings = (
         *fit.findings,
@@ -419,7 +420,9 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
         raise ConfigError(f"conditions.{condition}: {error.what}", hint=hint) from None
 
 
-def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSettings) -> Solved:
+def _solved_fit(
+    stator: Stator, given: Given, balance: Balance, settings: FitSettings, smeared: SmearedBalance | None
+) -> Solved:
     section: DynamicStiffnessSettings = settings.model_settings
     noise = stator.noise
     if not settings.estimates.likelihood:
@@ -429,7 +432,6 @@ def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSet
         return Solved(best, given_uncertainties(errors, respond), None)
     uncertain = functools.partial(errors_by_given, stator, given)
     best, candidates = _most_likely(balance, settings, noise, uncertain)
-    smeared = smeared_balance(stator, given, balance)
     if smeared is not None:
         measured = balance
         for _ in range(LEAKAGE_ROUNDS):

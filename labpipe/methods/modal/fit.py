@@ -245,14 +245,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         modal.structure.check([port.dof for port in points])
     diagram, start = _first_modes(sides.lines, modal)
     refined, terms = lscf.refine_with_terms(sides.lines, start.values, start.participation)
-    refined, terms, dropped = lscf.kept_modes(sides.lines, refined, terms)
+    refined, terms, dropped = lscf.kept_modes(refined, terms)
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
     # need.
     correlation = response.line_correlation
-    whole = lscf.complete(sides.lines, refined, terms, correlation, adding=not modal.poles)
+    whole = lscf.complete(refined, terms, correlation, adding=not modal.poles)
     sides, whole, moved, loaded = _at_mean_poles(sides, whole, correlation, modal)
     if real := modal.shapes == "real":
-        whole = lscf.with_real_modes(sides.lines, whole, correlation)
+        whole = lscf.with_real_modes(whole, correlation)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)

@@ -50,10 +50,6 @@ class Lines:
         return float(np.median(np.diff(self.omega)))
 
     @property
-    def n_element(self) -> int:
-        return self.matrix.shape[1] * self.matrix.shape[2]
-
-    @property
     def weighted(self) -> ComplexArray:
         """The FRFs times the weight, (n_line, n_output, n_input) [unit of the FRF]."""
         return np.asarray(self.matrix * self.weight[:, None, None])
@@ -166,7 +162,6 @@ class _Sums:
 
 
 def refine(
-    lines: Lines,
     terms: ResidualTerms,
     poles: ComplexArray,
     participation: ComplexArray,
@@ -185,7 +180,7 @@ def refine(
     # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
     scaled[rows, largest] = 1.0
     start = np.asarray(scaled)
-    state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
+    state = _State.at(terms, poles, start.real + 0j if real else start, real)
     for steps in range(1, most_steps + 1):
         step, std_errors = state.step()
         if np.all(np.abs(step) <= NEGLIGIBLE * std_errors):
@@ -208,7 +203,6 @@ def _move(state: _State, step: FloatArray) -> _State | None:
 
 @dataclass(frozen=True)
 class _State:
-    lines: Lines
     terms: ResidualTerms
     sums: _Sums
     poles: ComplexArray
@@ -221,18 +215,16 @@ class _State:
         return int(self.poles.size)
 
     @classmethod
-    def at(
-        cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool
-    ) -> _State:
-        even, sums = np.ones(lines.matrix.shape[1:]), _sums(lines, terms, poles)
-        return cls(lines, terms, sums, poles, participation, even, real).with_noise().with_noise()
+    def at(cls, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool) -> _State:
+        even, sums = np.ones(terms.lines.matrix.shape[1:]), _sums(terms, poles)
+        return cls(terms, sums, poles, participation, even, real).with_noise().with_noise()
 
     def with_noise(self) -> _State:
         """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that
         it has for itself.
         """
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
-        dof = max(self.lines.omega.size - n_per_element, 1.0)
+        dof = max(self.terms.lines.omega.size - n_per_element, 1.0)
         return replace(self, variance=self._rss(self._shapes()[0]) / dof)
 
     def after(self, step: FloatArray) -> _State | None:
@@ -243,7 +235,7 @@ class _State:
         change = step[2 * self.n_mode :]
         rows, columns = _free(self.participation)
         participation[rows, columns] += change[0::2] + 1j * change[1::2]
-        sums = _sums(self.lines, self.terms, poles)
+        sums = _sums(self.terms, poles)
         return replace(self, sums=sums, poles=poles, participation=participation)
 
     def _shapes(self) -> tuple[ComplexArray, FloatArray]:
@@ -322,15 +314,15 @@ class _State:
         covariance = pseudo_inverse(normal) / 2
         crossed = -eliminated @ covariance
         shape_covariance = inverse / 2 - np.einsum("omn,opn->omp", crossed, eliminated)
-        n_line = self.lines.omega.size
-        information = 2 * n_line * float(np.sum(np.log(self._rss(psi))))
+        lines = self.terms.lines
+        information = 2 * lines.omega.size * float(np.sum(np.log(self._rss(psi))))
         modes = self.poles, self.participation, psi, covariance, shape_covariance, crossed
-        return Refined(*modes, self.variance, information, converged, steps, self.lines.hysteretic)
+        return Refined(*modes, self.variance, information, converged, steps, lines.hysteretic)
 
 
-def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexArray:
+def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
-    pairs = terms.without(_functions(lines, refined.poles))[:, : 2 * refined.poles.size]
+    pairs = terms.without(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]
     coefficients = _coefficients(refined.participation, refined.shapes)
     return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients))
 
@@ -343,10 +335,10 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
-    state = _State.at(lines, terms, refined.poles, refined.participation, real)
+    state = _State.at(terms, refined.poles, refined.participation, real)
     state = replace(state, variance=refined.noise)
     normal, _, inverse, eliminated, psi = state._schur()
-    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(lines, terms, refined)
+    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(terms, refined)
     of_shapes, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
     by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
 
@@ -428,7 +420,8 @@ def pole_functions(
     return (a, b), (a**2, b**2)
 
 
-def _sums(lines: Lines, terms: ResidualTerms, poles: ComplexArray) -> _Sums:
+def _sums(terms: ResidualTerms, poles: ComplexArray) -> _Sums:
+    lines = terms.lines
     functions = terms.without(_functions(lines, poles))
     gram = (functions.conj().T @ functions).real
     flat = terms.remainder.reshape(lines.omega.size, -1)

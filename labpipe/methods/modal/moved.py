@@ -184,7 +184,7 @@ def with_moved_modes(
     frequency = np.abs(again.poles)
     if not again.converged or frequency.min() < lines.omega[0] or frequency.max() > lines.omega[-1]:
         return plain, done, undecided, ()
-    p_noise = whiteness(remaining(lines, terms, again), correlation)
+    p_noise = whiteness(remaining(terms, again), correlation)
     done = replace(done, refined=again, terms=terms, p_noise=p_noise)
     return lines, done, (*moved, *undecided), findings
 

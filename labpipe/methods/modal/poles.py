@@ -359,32 +359,32 @@ def refine_with_terms(
     *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) [1].
     """
     terms = ResidualTerms(lines, 1, 1)
-    best = refine(lines, terms, poles, participation, TRIAL_STEPS)
+    best = refine(terms, poles, participation, TRIAL_STEPS)
     while True:
         sizes = ((terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1))
         trials = [
-            (refine(lines, more, best.poles, best.participation, TRIAL_STEPS), more)
+            (refine(more, best.poles, best.participation, TRIAL_STEPS), more)
             for more in (ResidualTerms(lines, lower, upper) for lower, upper in sizes)
             if more.lower <= MOST_LOWER and more.upper <= MOST_UPPER
             if more.count + 2 * poles.size < lines.omega.size
         ]
         if not trials:
             break
-        refined, more = min(trials, key=lambda trial: criterion(lines, *trial))
-        if criterion(lines, refined, more) >= criterion(lines, best, terms):
+        refined, more = min(trials, key=lambda trial: criterion(*trial))
+        if criterion(refined, more) >= criterion(best, terms):
             break
         best, terms = refined, more
-    return refine(lines, terms, best.poles, best.participation), terms
+    return refine(terms, best.poles, best.participation), terms
 
 
-def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
+def criterion(refined: Refined, terms: ResidualTerms) -> float:
     """AIC [1]: a term has a complex factor in every FRF; a mode a pole, a shape, and a participation of which
     one entry is given.
 
     Equation (modal-aic).
     """
-    _, n_output, n_input = lines.matrix.shape
-    n_complex = lines.n_element * terms.count + refined.poles.size * (n_output + n_input)
+    _, n_output, n_input = terms.lines.matrix.shape
+    n_complex = n_output * n_input * terms.count + refined.poles.size * (n_output + n_input)
     return refined.information + 4 * n_complex
 
 
@@ -414,16 +414,14 @@ class Completed:
     added: int = 0
 
 
-def kept_modes(
-    lines: Lines, refined: Refined, terms: ResidualTerms
-) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
+def kept_modes(refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
     """The modes inside the band, not as broad as it, that stand out of the noise, refined again without the
     others; notes name these.
 
     FitError where none stays.
     """
     frequency = np.abs(refined.poles) / (2 * np.pi)
-    inside, narrow, seen = _standing(lines, refined)
+    inside, narrow, seen = _standing(terms.lines, refined)
     keep = inside & narrow & seen
     if np.all(keep):
         return refined, terms, ()
@@ -437,8 +435,8 @@ def kept_modes(
     if not np.any(keep):
         what = f"no mode stays in the refinement: {' '.join(notes)}"
         raise FitError(what, hint="widen the band to where the response peaks")
-    again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
-    again, more, further = kept_modes(lines, again, more)
+    again, more = refine_with_terms(terms.lines, refined.poles[keep], refined.participation[keep])
+    again, more, further = kept_modes(again, more)
     return again, more, (*notes, *further)
 
 
@@ -465,35 +463,33 @@ def shape_p(refined: Refined) -> FloatArray:
 
 
 def complete(
-    lines: Lines, refined: Refined, terms: ResidualTerms, correlation: tuple[complex, ...], *, adding: bool
+    refined: Refined, terms: ResidualTerms, correlation: tuple[complex, ...], *, adding: bool
 ) -> Completed:
     """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports
     them.
 
     They are kept only if the residual then is noise.
     """
-    first = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), correlation))
+    first = done = Completed(refined, terms, whiteness(remaining(terms, refined), correlation))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
-        more = _with_one_more(lines, done, correlation)
+        more = _with_one_more(done, correlation)
         if more is None:
             break
         done = more
     return done if done.p_noise >= MISMATCH_P else first
 
 
-def with_real_modes(lines: Lines, done: Completed, correlation: tuple[complex, ...]) -> Completed:
+def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Completed:
     """The same modes with real shapes and participation, and the probability of the residual that they leave
     as noise.
     """
-    refined = refine(lines, done.terms, done.refined.poles, done.refined.participation, real=True)
-    return replace(
-        done, refined=refined, p_noise=whiteness(remaining(lines, done.terms, refined), correlation)
-    )
+    refined = refine(done.terms, done.refined.poles, done.refined.participation, real=True)
+    return replace(done, refined=refined, p_noise=whiteness(remaining(done.terms, refined), correlation))
 
 
-def _with_one_more(lines: Lines, done: Completed, correlation: tuple[complex, ...]) -> Completed | None:
-    refined = done.refined
-    residual = remaining(lines, done.terms, refined)
+def _with_one_more(done: Completed, correlation: tuple[complex, ...]) -> Completed | None:
+    lines, refined = done.terms.lines, done.refined
+    residual = remaining(done.terms, refined)
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
     n_wide = round(2 * decay / lines.spacing)
@@ -511,13 +507,13 @@ def _with_one_more(lines: Lines, done: Completed, correlation: tuple[complex, ..
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = again.converged and _distinct(again) and np.all(_standing(lines, again))
-    if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
+    if not sound or criterion(again, terms) > criterion(refined, done.terms) - SUPPORT:
         return None
     # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
     place, told = 2 * refined.poles.size, by_lines(terms, again)
     if -again.poles.real[-1] < NORMAL * np.sqrt(told.covariance[place, place]):
         return None
-    return Completed(again, terms, whiteness(remaining(lines, terms, again), correlation), done.added + 1)
+    return Completed(again, terms, whiteness(remaining(terms, again), correlation), done.added + 1)
 
 
 def _distinct(refined: Refined) -> bool:

@@ -366,7 +366,7 @@ def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
     lines = Lines(w, response.matrix + smooth, 0, np.ones(w.size))
     poles = 2 * np.pi * np.array([*(-0.01 + 1j) * BEAM_FREQUENCIES, 120.0 * (-0.5 + 0.75**0.5 * 1j)])
     refined, terms = refine_with_terms(lines, poles, np.ones((4, 1), complex))
-    kept, _, notes = kept_modes(lines, refined, terms)
+    kept, _, notes = kept_modes(refined, terms)
     assert np.sort(np.abs(kept.poles)) / (2 * np.pi) == pytest.approx(BEAM_FREQUENCIES, rel=1e-3)
     # Only this one is named, and for this alone.
     (note,) = notes
