@@ -23,7 +23,7 @@ from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
 from labpipe.methods.modal import model_error
 from labpipe.methods.modal import poles as lscf
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, one_step
 from labpipe.methods.modal.moved import (
     FEWEST_POINTS,
     MovedMode,
@@ -49,16 +49,23 @@ from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 def _sources(
     settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
-    """By one step of Gauss-Newton from the estimate, p - (J^T J)^-1 J^T W dH, no fit is repeated; by the mass
-    alone where the Jacobian is too large to be held in memory. Directions count where two points or more of
+    """By one step of Gauss-Newton from the estimate, p - (J^T J)^-1 J^T W dH, no fit is repeated; with the
+    shapes eliminated where J is too large to be held in memory. Directions count where two points or more of
     known direction tell the motion in their plane, likewise two forces.
     """
-    refined, measured = estimate.refined, sides.measured
+    refined, measured, lines = estimate.refined, sides.measured, sides.lines
     of_mass = mass_source(_parameters(settings, sides, estimate, refined), settings)
     errors = matrix_errors(measured, directions=True)
-    model = ModalReceptance.of(terms, refined, measured, real=settings.model_settings.shapes == "real")
+    real = settings.model_settings.shapes == "real"
+    model = ModalReceptance.of(terms, refined, measured, real=real)
+
+    def eliminated(change: ComplexArray) -> FloatArray:
+        moved = replace(lines, matrix=lines.matrix + (lines.s**lines.power)[:, None, None] * change)
+        again = one_step(replace(terms, lines=moved), refined, real=real)
+        return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
+
     if not errors or model.n_parameter * measured.n_equation > MOST_ENTRIES:
-        return of_mass
+        return [*changes_by(errors, eliminated), *of_mass]
     values = model.joined(refined, measured)
     problem = OutputError(measured, model, _weights(measured))
     jacobian = problem.jacobian(values)

@@ -320,6 +320,13 @@ class _State:
         return Refined(*modes, self.variance, information, converged, steps, lines.hysteretic)
 
 
+def one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+    """The refined modes one step of Gauss-Newton on, for the FRFs of *terms*; *real*: as in refine."""
+    state = _State.at(terms, refined.poles, refined.participation, real)
+    state = replace(state, variance=refined.noise)
+    return (state.after(state.step()[0]) or state).result(True, 1)
+
+
 def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
     pairs = terms.without(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]

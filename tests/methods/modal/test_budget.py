@@ -11,6 +11,7 @@ import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal import fit as fit_module
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import ChannelUncertainty, MatrixError, Uncertain, Uncertainty
@@ -148,6 +149,17 @@ def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
         )
         > 0.5
     )
+
+
+def test_budgets_of_large_matrices_are_those_of_small_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the Jacobian of all parameters, and with the shapes eliminated where it is too large."""
+    response = uncertain(known=False)
+    whole = modal(response).budget
+    monkeypatch.setattr(fit_module, "MOST_ENTRIES", 0)
+    large = modal(response).budget
+    assert [source.source for source in large.sources] == [source.source for source in whole.sources]
+    size = np.hypot(whole.random, np.linalg.norm(whole.changes, axis=0))
+    np.testing.assert_allclose(large.changes / size, whole.changes / size, atol=0.02)
 
 
 def test_a_gain_moves_masses_and_no_frequencies() -> None:
