@@ -20,7 +20,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
-from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
+from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
 from labpipe.methods.modal import model_error
 from labpipe.methods.modal import poles as lscf
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, one_step
@@ -33,9 +33,9 @@ from labpipe.methods.modal.moved import (
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import (
-    MOST_ENTRIES,
     ModalEstimate,
     ModalReceptance,
+    regular,
     whole_covariance_fit,
 )
 from labpipe.records.finding import Finding, Parameter
@@ -50,24 +50,24 @@ def _sources(
     settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
     """By one step of Gauss-Newton from the estimate, p - (J^T J)^-1 J^T W dH, no fit is repeated; with the
-    shapes eliminated where J is too large to be held in memory. Directions count where two points or more of
-    known direction tell the motion in their plane, likewise two forces.
+    shapes eliminated where the fit has the weights of its residual. Directions count where two points or more
+    of known direction tell the motion in their plane, likewise two forces.
     """
     refined, measured, lines = estimate.refined, sides.measured, sides.lines
     of_mass = mass_source(_parameters(settings, sides, estimate, refined), settings)
     errors = matrix_errors(measured, directions=True)
     real = settings.model_settings.shapes == "real"
-    model = ModalReceptance.of(terms, refined, measured, real=real)
 
     def eliminated(change: ComplexArray) -> FloatArray:
         moved = replace(lines, matrix=lines.matrix + (lines.s**lines.power)[:, None, None] * change)
         again = one_step(replace(terms, lines=moved), refined, real=real)
         return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
-    if not errors or model.n_parameter * measured.n_equation > MOST_ENTRIES:
+    if not errors or estimate.chi2_reduced is None:
         return [*changes_by(errors, eliminated), *of_mass]
+    model = ModalReceptance.of(terms, refined, measured, real=real)
     values = model.joined(refined, measured)
-    problem = OutputError(measured, model, _weights(measured))
+    problem = OutputError(measured, model, whitener(regular(measured)))
     jacobian = problem.jacobian(values)
     step = solve_scaled(jacobian, problem.residual(values))[1] @ jacobian.T
 
@@ -77,13 +77,6 @@ def _sources(
         return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
     return [*changes_by(errors, changed), *of_mass]
-
-
-def _weights(measured: Measured) -> ComplexArray:
-    try:
-        return whitener(measured) if has_noise(measured) else equal_weights(measured)
-    except FitError:
-        return equal_weights(measured)
 
 
 def mismatch(estimate: ModalEstimate) -> float | None:
