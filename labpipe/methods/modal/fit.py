@@ -87,9 +87,7 @@ def mismatch(estimate: ModalEstimate) -> float | None:
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
-    """Whether the residual is no noise where the noise is not known: nothing then says how wide an interval
-    would be.
-    """
+    """Whether the residual is no noise where the noise is not known."""
     return estimate.chi2_reduced is None and p_noise < MISMATCH_P
 
 
@@ -143,9 +141,7 @@ def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Find
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
-    """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no
-    structure has one.
-    """
+    """A warning of modal masses that are negative by more than their uncertainty: no structure has one."""
     modes = [p.name.removeprefix("m_") for p in parameters if p.name.startswith("m_") and p.is_negative]
     if not modes:
         return ()

@@ -49,11 +49,6 @@ class Lines:
         """Distance of neighbouring lines [rad/s], whatever a band or a mask leaves out between others."""
         return float(np.median(np.diff(self.omega)))
 
-    @property
-    def weighted(self) -> ComplexArray:
-        """The FRFs times the weight, (n_line, n_output, n_input) [unit of the FRF]."""
-        return np.asarray(self.matrix * self.weight[:, None, None])
-
 
 @dataclass(frozen=True)
 class ResidualTerms:
@@ -96,7 +91,7 @@ class ResidualTerms:
     @cached_property
     def remainder(self) -> ComplexArray:
         """The data (n_line, n_output, n_input) [unit of the FRF] without the terms."""
-        weighted = self.lines.weighted
+        weighted = self.lines.matrix * self.lines.weight[:, None, None]
         return self.without(weighted.reshape(weighted.shape[0], -1)).reshape(weighted.shape)
 
     @cached_property
@@ -220,9 +215,7 @@ class _State:
         return cls(terms, sums, poles, participation, even, real).with_noise().with_noise()
 
     def with_noise(self) -> _State:
-        """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that
-        it has for itself.
-        """
+        # Complex lines less the complex parameters that an element has for itself.
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
         dof = max(self.terms.lines.omega.size - n_per_element, 1.0)
         return replace(self, variance=self._rss(self._shapes()[0]) / dof)
@@ -400,7 +393,7 @@ def pseudo_inverse(normal: FloatArray) -> FloatArray:
 
 
 def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
-    """Entries that are estimated: all but the 1 of each row."""
+    """All but the 1 of each row."""
     rows, columns = np.nonzero(participation != 1)
     return rows, columns
 
