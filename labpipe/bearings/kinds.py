@@ -198,20 +198,11 @@ class BearingUncertainties:
     damping: FloatArray
     rest: FloatArray
 
-    @property
-    def stiffness_error(self) -> FloatArray:
-        """Standard uncertainty (n_dof, n_dof) [SI units of the stiffness] by all independent sources."""
-        return np.asarray(np.sqrt(np.sum(self.stiffness**2, axis=0)))
-
-    @property
-    def damping_error(self) -> FloatArray:
-        """Standard uncertainty (n_dof, n_dof) [SI units of the damping]."""
-        return np.asarray(np.sqrt(np.sum(self.damping**2, axis=0)))
-
-    @property
-    def rest_error(self) -> FloatArray:
-        """Standard uncertainty (n_amount,) of the amounts at rest [unit of each]."""
-        return np.asarray(np.sqrt(np.sum(self.rest**2, axis=0)))
+    def error(self, of: str) -> FloatArray:
+        """Standard uncertainty of the stiffness, the damping or the amounts at rest by all independent
+        sources, (n_dof, n_dof) or (n_amount,) [unit of each].
+        """
+        return np.asarray(np.sqrt(np.sum(getattr(self, of) ** 2, axis=0)))
 
     def shares(self, changes: FloatArray) -> list[tuple[str, float]]:
         """Shares in the variance of one amount, the largest first; *changes* (n_source,) [its unit]."""

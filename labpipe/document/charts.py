@@ -26,7 +26,7 @@ from labpipe.registry import Registry
 from labpipe.report.build import build
 from labpipe.report.chart import PALETTE_SIZE, Axis, Chart, Graphic, Series
 from labpipe.report.comparison import comparison_figures
-from labpipe.report.document import Document, Figure
+from labpipe.report.document import Document, Figure, Section
 from labpipe.report.figures import REACH, VIEWS, ShapeSketch, project, response_figure, sliding_figures
 from labpipe.report.fits import fit_figures
 
@@ -176,8 +176,7 @@ def _words(canvas: Canvas) -> Words:
 
 def figure_files(document: Document) -> dict[str, bytes]:
     """name -> content: figure-01-... .svg, .png and .csv of every figure, numbered as in the report."""
-    blocks = (block for section in document.sections for block in section.blocks)
-    figures = [block for block in blocks if isinstance(block, Figure)]
+    figures = (figure for section in document.sections for figure in _figures(section))
     contents: dict[str, bytes] = {}
     for number, figure in enumerate(figures, 1):
         stem = f"figure-{number:02d}-{short_name(figure.caption)}".rstrip("-")
@@ -187,6 +186,10 @@ def figure_files(document: Document) -> dict[str, bytes]:
         if isinstance(figure.graphic, Chart):
             contents[f"{stem}.csv"] = figure_csv(figure.graphic, figure.caption).encode()
     return contents
+
+
+def _figures(section: Section) -> list[Figure]:
+    return [block for block in section.blocks if isinstance(block, Figure)]
 
 
 def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> Canvas:
@@ -243,7 +246,6 @@ def _without_contents(canvas: Canvas) -> Canvas:
 
 
 def _scales(axes: Axes, chart: Chart, number: int) -> None:
-    """Scales, ends and numbers of both axes; where panels move together only the outer ones have numbers."""
     panel = chart.panels[number]
     for which, axis in (("x", panel.x), ("y", panel.y)):
         limits = chart.limits(number, which)
@@ -404,8 +406,10 @@ def _line(axes: Axes, series: Series) -> Artist:
             axes.fill_between(series.x, series.low, series.high, **shade)
         else:
             cap = CAP if series.size >= LEAST_CAPPED else 0.0
-            reach = np.nan_to_num(np.abs(np.array([series.low, series.high]) - series.y))
-            axes.errorbar(series.x, series.y, reach, fmt="none", ecolor=colour, elinewidth=0.8, capsize=cap)
+            # An interval need not hold its value.
+            inside = np.fmin(np.fmax(series.y, series.low), series.high)
+            reach = np.nan_to_num(np.abs(np.array([series.low, series.high]) - inside))
+            axes.errorbar(series.x, inside, reach, fmt="none", ecolor=colour, elinewidth=0.8, capsize=cap)
     look: dict[str, Any] = {"color": colour, "linestyle": series.line or "none", "linewidth": series.width}
     if series.marker:
         look |= {"marker": series.marker, "markersize": series.size * (2 if series.marker == "." else 1)}
@@ -538,10 +542,7 @@ def plot(result: Any) -> Canvas:
 
 
 def _of_identification(identification: Identification) -> list[Figure]:
-    first, *others = (
-        [block for block in section.blocks if isinstance(block, Figure)]
-        for section in build(identification).sections
-    )
+    first, *others = map(_figures, build(identification).sections)
     whole = [figure for figure in first if isinstance(figure.graphic, Chart) and figure.graphic.rows > 1]
     return [*whole, *(figure for figures in others for figure in figures)]
 

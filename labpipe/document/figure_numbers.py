@@ -10,7 +10,6 @@ import json
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -94,14 +93,9 @@ def _as_json(values: FloatArray) -> list[float | None]:
 def figure_json(chart: Chart) -> str:
     """The chart for the page's script."""
     numbers = NumberList()
-    entry = {
-        "height": chart.size[1],
-        "rows": chart.rows,
-        "columns": chart.columns,
-        "panels": [_panel(chart, number, numbers) for number in range(len(chart.panels))],
-        "numbers": numbers.lists,
-    }
-    return json_text(entry)
+    panels = [_panel(chart, number, numbers) for number in range(len(chart.panels))]
+    size = {"height": chart.size[1], "rows": chart.rows, "columns": chart.columns}
+    return json_text({**size, "panels": panels, "numbers": numbers.lists})
 
 
 def json_text(entry: dict[str, Any]) -> str:
@@ -137,13 +131,8 @@ def _axis(axis: Axis, limits: tuple[float, float], group: int) -> dict[str, Any]
 
 def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     colour = RULE if series.colour == GREY else series.colour
-    entry: dict[str, Any] = {
-        "kind": series.kind,
-        "name": series.name,
-        "colour": colour,
-        "line": series.line,
-        "width": series.width,
-    }
+    entry: dict[str, Any] = {"kind": series.kind, "name": series.name, "colour": colour}
+    entry |= {"line": series.line, "width": series.width}
     if series.entry:
         entry["entry"] = series.entry
     if series.kind == "cells":
@@ -201,8 +190,8 @@ def figure_csv(chart: Chart, caption: str) -> str:
     stream.write("# " + caption.replace("\n", " ") + "\n")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for series in _rows_of_series(chart):
-        writer.writerows(map(cell, series.row(n)) for n in range(series.count))
+    for count, row in _rows_of_series(chart):
+        writer.writerows(map(cell, row(n)) for n in range(count))
     return stream.getvalue()
 
 
@@ -211,11 +200,11 @@ def figure_table(chart: Chart) -> Table:
     every = _rows_of_series(chart)
     room = max(2, MOST_ROWS // max(len(every), 1))
     chosen = [
-        series.row(n)
-        for series in every
-        for n in sorted({round(at) for at in np.linspace(0, series.count - 1, min(room, series.count))})
+        row(n)
+        for count, row in every
+        for n in sorted({round(at) for at in np.linspace(0, count - 1, min(room, count))})
     ]
-    left_out = sum(series.count for series in every) - len(chosen)
+    left_out = sum(count for count, _ in every) - len(chosen)
     caption = f"{len(chosen)} of {len(chosen) + left_out} points" if left_out else ""
     rows = tuple(tuple(_short(text) if n in READ else text for n, text in enumerate(row)) for row in chosen)
     return Table(COLUMNS, rows, caption, READ)
@@ -228,15 +217,11 @@ def _short(text: str) -> str:
         return text
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """The rows of one series, each made when it is asked for: a table shows few of many."""
-
-    count: int
-    row: Callable[[int], list[str]]
+# The number of rows of one series, and what makes each: a table shows few of many.
+Rows = tuple[int, Callable[[int], list[str]]]
 
 
-def _rows_of_series(chart: Chart) -> list[_Rows]:
+def _rows_of_series(chart: Chart) -> list[Rows]:
     """The rows of every series but arrows, which show a sense of rotation only."""
     return [
         (_cell_rows if series.kind == "cells" else _point_rows)(panel, panel.title or str(number), series)
@@ -246,7 +231,7 @@ def _rows_of_series(chart: Chart) -> list[_Rows]:
     ]
 
 
-def _cell_rows(panel: Panel, name: str, series: Series) -> _Rows:
+def _cell_rows(panel: Panel, name: str, series: Series) -> Rows:
     columns, rows = (
         [label for _, label in axis.ticks] or [str(n) for n in range(max(series.y.shape))]
         for axis in (panel.x, panel.y)
@@ -256,10 +241,10 @@ def _cell_rows(panel: Panel, name: str, series: Series) -> _Rows:
         r, c = divmod(n, series.y.shape[1])
         return [name, rows[r], "", columns[c], "", _number(series.y, n), "", "", ""]
 
-    return _Rows(series.y.size, row)
+    return series.y.size, row
 
 
-def _point_rows(panel: Panel, name: str, series: Series) -> _Rows:
+def _point_rows(panel: Panel, name: str, series: Series) -> Rows:
     def row(n: int) -> list[str]:
         return [
             name,
@@ -273,7 +258,7 @@ def _point_rows(panel: Panel, name: str, series: Series) -> _Rows:
             series.interval,
         ]
 
-    return _Rows(max(series.x.size, series.y.size), row)
+    return max(series.x.size, series.y.size), row
 
 
 def _number(values: FloatArray | None, n: int) -> str:

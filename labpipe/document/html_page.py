@@ -68,8 +68,6 @@ def render_html(document: Document) -> str:
 
 
 class _Figures:
-    """Counts the figures of a page, and whether any of them needs the script."""
-
     def __init__(self) -> None:
         self.count, self.alive = 0, False
 

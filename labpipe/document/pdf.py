@@ -72,8 +72,6 @@ class _Place:
 
 
 class _Pages(FPDF):
-    """A4 pages whose foot names the document and counts the pages."""
-
     def __init__(self, document: Document) -> None:
         super().__init__(format="A4")
         self._foot = document.title
@@ -218,7 +216,6 @@ def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]
 
 
 def _is_chart(block: Block | None) -> TypeGuard[Figure]:
-    """Whether a block is a figure that can be drawn again in half the width."""
     return isinstance(block, Figure) and isinstance(block.graphic, Chart) and block.graphic.columns == 1
 
 
@@ -409,7 +406,6 @@ def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
 
 
 def _as_dots(figure: Figure) -> bool:
-    """Whether a drawing is dots of print resolution: a heat map, or one of very many points."""
     if not isinstance(figure.graphic, Chart):
         return False
     series = [curve for panel in figure.graphic.panels for curve in panel.series]

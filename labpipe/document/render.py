@@ -56,7 +56,6 @@ def _markdown(block: Block) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text in which nothing is markup, with powers as a hand writes them."""
     text = as_printed(text)
     for sign in "\\`*_[]<>|#":
         text = text.replace(sign, f"\\{sign}")

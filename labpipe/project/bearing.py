@@ -199,9 +199,9 @@ def _uncertainty_entry(
         uncertainties.sources, uncertainties.stiffness, uncertainties.damping, uncertainties.rest, strict=True
     )
     return {
-        "stiffness": uncertainties.stiffness_error.tolist(),
-        "damping": uncertainties.damping_error.tolist(),
-        "equilibrium": dict(zip(names, uncertainties.rest_error.tolist(), strict=True)),
+        "stiffness": uncertainties.error("stiffness").tolist(),
+        "damping": uncertainties.error("damping").tolist(),
+        "equilibrium": dict(zip(names, uncertainties.error("rest").tolist(), strict=True)),
         "sources": [
             {
                 "source": source.source,
@@ -274,8 +274,8 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
             values = [getattr(point, attribute)[number].value for point in coefficients]
             columns[f"{prefix}{amount.name} [{amount.unit}]"] = np.array(values)
     uncertainties = [point.uncertainties for point in points if point.uncertainties is not None]
-    for symbol, attribute in (("u_k", "stiffness_error"), ("u_c", "damping_error")):
-        errors = np.array([getattr(point, attribute) for point in uncertainties])
+    for symbol, attribute in (("u_k", "stiffness"), ("u_c", "damping")):
+        errors = np.array([point.error(attribute) for point in uncertainties])
         if uncertainties and (symbol == "u_k" or errors.any()):
             columns |= _by_element(symbol, coefficients[0], errors)
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]

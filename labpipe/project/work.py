@@ -82,6 +82,10 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
                 faults.append(error)
                 work.failed.append(Failed(FIT_PREFIX + fit.name, str(error)))
                 continue
+            if work.tests and not made and not work.failed:
+                where = f"{work.pipeline.path}: identify.{fit.name}"
+                what = "no test is left for it: none is fitted against its own baseline"
+                raise ConfigError(what, where, "add the test that the baseline is for")
         from labpipe.estimation.levels import with_level_findings
 
         fits.extend(with_level_findings(made, work.conditions))

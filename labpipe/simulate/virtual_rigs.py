@@ -259,7 +259,6 @@ def force_and_displacements(run: Recording) -> LoggedTable:
 
 
 def _whole(title: str, counts: FloatArray, kind: type[np.signedinteger]) -> NDArray[np.generic]:
-    """Whole *counts* as a logger holds them; ConfigError beyond its bits."""
     if not np.all(np.abs(counts) <= np.iinfo(kind).max):
         what = f"{title}: beyond {np.iinfo(kind).max}, where the logger ends"
         raise ConfigError(what, hint="make the forces, motions or noise of the rig smaller")

@@ -63,7 +63,7 @@ def test_at_one_sommerfeld_number_stiffness_is_load_over_clearance(tmp_path: Pat
     np.testing.assert_allclose(relative(apart).sum(axis=0), relative(both)[0], rtol=2e-3)
     for what in ("stiffness", "damping", "rest"):
         each = getattr(apart.uncertainties, what)
-        np.testing.assert_allclose(getattr(apart.uncertainties, f"{what}_error"), np.hypot(*each))
+        np.testing.assert_allclose(apart.uncertainties.error(what), np.hypot(*each))
 
 
 def test_a_temperature_is_a_viscosity(tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_json_table_and_sweep_hold_the_uncertainties(tmp_path: Path, labpipe_wit
     single = journal(tmp_path, "0.1044 Pa.s +- 1 %", "60 N")
     assert single.uncertainties is not None
     assert float(rows[1]["u_k_y_z [N/m]"]) == pytest.approx(
-        single.uncertainties.stiffness_error[0, 1], rel=1e-6
+        single.uncertainties.error("stiffness")[0, 1], rel=1e-6
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.methods.rolling_bearing.loads import DOFS, bent_transfer_matrix
+from labpipe.methods.rolling_bearing.loads import DOFS, transfer_matrix
 from labpipe.methods.rolling_bearing.ratio import theory_of
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.comparison import Comparison
@@ -301,7 +301,7 @@ def _in_series(
             bending = named.shaft.value + errors.of(
                 Uncertainty("bending shaft", named.shaft.std_error, "N/m")
             )
-        transfer = bent_transfer_matrix(ends[1].shaft, stiffness, frequency, factors[1], bending)
+        transfer = transfer_matrix(ends[1].shaft, stiffness, frequency, factors[1], bending)
         return np.asarray(transfer[:, place, place] * arms)
 
     return truth

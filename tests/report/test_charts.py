@@ -75,6 +75,13 @@ def test_curves_bands_and_bars_hold_their_numbers(every_kind: Chart) -> None:
     assert line(below, "outside").get_markerfacecolor() == "none"
 
 
+def test_bars_of_an_interval_beside_its_value_stand_at_the_interval() -> None:
+    series = dots("c", [1.0, 2.0], [1.0, 5.0], 0, bars=([1.2, 3.0], [1.4, 4.0]))
+    (axes,) = chart_canvas(Chart((Panel(Axis("x"), Axis("c"), (series,)),))).axes
+    bars = np.array([segment[:, 1] for segment in axes.collections[0].get_segments()])  # type: ignore[attr-defined]
+    np.testing.assert_allclose(bars, [[1.2, 1.4], [3.0, 4.0]])
+
+
 def test_what_lies_across_a_panel_is_where_the_chart_says(every_kind: Chart) -> None:
     above, below = chart_canvas(every_kind).axes
     across = next(drawn for drawn in above.get_lines() if list(drawn.get_xdata()) == [0, 1])

@@ -288,6 +288,23 @@ def test_the_theory_is_the_bearing_file_at_the_condition() -> None:
     assert theory([(427.0, "N")]).shaft.mass == 2.45
 
 
+def test_the_theory_knows_the_uncertain_numbers_of_its_bearing_file(tmp_path: Path) -> None:
+    """K and shaft with each number one standard uncertainty off are those of a file that states it so; the
+    load that the condition sets is none of them.
+    """
+    plain, uncertain = tmp_path / "plain.yaml", tmp_path / "uncertain.yaml"
+    text = BEARING.read_text("utf-8").replace("z: 427 N", "z: 427 N +- 5 %")
+    text = text.replace("1.10e10", "1.10e10 N/m^1.5 +- 2 % (source=Hertz)")
+    uncertain.write_text(text.replace("2.45 kg", "2.45 kg +- 0.05 kg"))
+    plain.write_text(BEARING.read_text("utf-8").replace("1.10e10", "1.122e10").replace("2.45 kg", "2.5 kg"))
+    other = theory_of(tmp_path, TheorySettings(plain.name))([(1000.0, "N")])
+    stated = theory_of(tmp_path, TheorySettings(uncertain.name))([(1000.0, "N")]).ends
+    (mass, (_, heavier), (_, lighter)), (hertz, (high, _), _) = stated
+    assert (hertz, mass) == ("Hertz", "shaft.mass")
+    np.testing.assert_allclose(high, other.stiffness, rtol=1e-9, atol=1e-3)
+    assert (heavier.mass, lighter.mass) == (other.shaft.mass, pytest.approx(2.4))
+
+
 def test_a_bearing_file_without_a_shaft_is_no_theory(tmp_path: Path) -> None:
     text = "\n".join(line for line in BEARING.read_text().splitlines() if not line.startswith("shaft"))
     (tmp_path / "bare.yaml").write_text(text)

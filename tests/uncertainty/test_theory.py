@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.rolling_bearing import ratio as ratio_module
-from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix, sdof_stiffness
+from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, sdof_stiffness, transfer_matrix
 from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, _solve, log_covariance, match, overlay
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
@@ -40,7 +40,7 @@ def measured(ratio: float, bending: float, rng=None, noise: float = 0.003) -> Fr
     rows = [DOFS.index(dof) for dof in ("x", "z", "by")]
     arms = np.array([1.0, 1.0, ARM])
     h = (
-        bent_transfer_matrix(SHAFT, ratio * K, frequency, BETA, bending)[:, rows][:, :, rows]
+        transfer_matrix(SHAFT, ratio * K, frequency, BETA, bending)[:, rows][:, :, rows]
         * arms[:, None]
         * arms
     )
@@ -168,3 +168,19 @@ def test_a_root_further_away_than_twenty_steps_of_one_is_none() -> None:
     np.testing.assert_allclose(found, slopes, atol=1e-9)
     with pytest.raises(FitError, match="no multiple of the theory's stiffness"):
         _solve(lambda u: slopes @ u, slopes @ np.array([-25.0, 3.0]), np.zeros(2))
+
+
+def test_an_uncertain_number_of_the_bearing_file_moves_the_ratio() -> None:
+    """Closed form: a theory stiffer by 1 % lowers measured / theory by 1 % and leaves beta; changes by
+    numbers of one source add up.
+    """
+    response = measured(1.12, np.inf)
+    fits = {fit.curve.outputs[0]: fit for fit in identify(response, PEAKS)}
+    ends = (("K_n", (1.01 * K, SHAFT), (K / 1.01, SHAFT)), ("none", (K, SHAFT), (K, SHAFT)))
+    to_sources = match(fits["z"], response, PEAKS, replace(THEORY, ends=ends), RIGID).to_sources
+    np.testing.assert_allclose(to_sources["K_n"], [-np.log(1.01), 0.0], atol=1e-6)
+    np.testing.assert_allclose(to_sources["none"], 0.0, atol=1e-9)
+    twice = replace(THEORY, ends=(*ends, ends[0]))
+    np.testing.assert_allclose(
+        match(fits["z"], response, PEAKS, twice, RIGID).to_sources["K_n"], [-2 * np.log(1.01), 0.0], atol=1e-6
+    )

@@ -42,6 +42,7 @@ from labpipe.methods.floating_bearing.settings import (
     Baseline,
     DynamicStiffnessSettings,
     Given,
+    SmearedBalance,
     balance_of,
     contradictions,
     errors_by_given,
@@ -73,7 +74,7 @@ from labpipe.records.fit_details import DynamicStiffness, GivenUncertainty, Othe
 from labpipe.records.identification import Candidate, Fit, Goodness
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.records.uncertain import Uncertain, split_uncertainty
+from labpipe.records.uncertain import Uncertain, is_uncertain, split_uncertainty
 from labpipe.registry import nearest
 
 NONE = Uncertain(0.0)
@@ -89,13 +90,12 @@ def with_baseline(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     usable = [fit for fit in fits if fit.detail(DynamicStiffness) is not None]
     baselines = [fit for fit in usable if fit.name == name] or [fit for fit in usable if fit.test == name]
     if not baselines:
-        hint = nearest(name, [fit.name for fit in usable])
-        what = f"baseline: no earlier fit '{name}' of model dynamic-stiffness"
-        raise ConfigError(what, hint=f"fits are made in their order; {hint}")
+        hint = f"fits are made in their order; {nearest(name, [fit.name for fit in usable])}"
+        raise ConfigError(f"baseline: no earlier fit '{name}' of model dynamic-stiffness", hint=hint)
     if len(baselines) > 1:
-        tests = ", ".join(fit.test for fit in baselines)
-        what = f"baseline: '{name}' has {len(baselines)} results ({tests})"
-        raise ConfigError(what, hint="say `test:` in the fit of the baseline")
+        what = f"{len(baselines)} results ({', '.join(fit.test for fit in baselines)})"
+        hint = "say `test:` in the fit of the baseline"
+        raise ConfigError(f"baseline: '{name}' has {what}", hint=hint)
     own = replace(settings.model_settings, fitted_baseline=baseline_of(baselines[0]))
     return replace(settings, model_settings=own)
 
@@ -112,13 +112,8 @@ def baseline_of(fit: Fit) -> Baseline:
     scale = np.where(errors > 0, errors, 1.0)
     values, vectors = np.linalg.eigh(shown.noise / np.outer(scale, scale))
     changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
-    return Baseline(
-        fitted_model(shown),
-        shown.values,
-        (GivenUncertainty(label, changes), *shown.uncertainties),
-        fit.name,
-        fit.test,
-    )
+    uncertainties = (GivenUncertainty(label, changes), *shown.uncertainties)
+    return Baseline(fitted_model(shown), shown.values, uncertainties, fit.test)
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
@@ -142,12 +137,8 @@ def given_baseline(section: DynamicStiffnessSettings) -> Baseline | None:
         for place, (name, number, unit) in enumerate(pairs)
         if number.std_error > 0
     )
-    return Baseline(
-        StiffnessModel(FORMS["kc"], "isotropic"),
-        np.array([stiffness.value, damping.value]),
-        uncertainties,
-        "given numbers",
-    )
+    model = StiffnessModel(FORMS["kc"], "isotropic")
+    return Baseline(model, np.array([stiffness.value, damping.value]), uncertainties)
 
 
 # Functions of the real and of the imaginary part of H, by form.
@@ -243,9 +234,9 @@ def _bic(candidate: Candidate) -> float:
 
 
 def _candidate(form: str, best: Estimate, n_equation: int) -> Candidate:
-    n = best.values.size
-    bic = best.squares + n * float(np.log(n_equation))
-    return Candidate(form, n, best.squares, best.dof, best.squares + 2 * n, bic=bic, chi2_p=best.p_value)
+    n, chi2 = best.values.size, best.squares
+    bic = chi2 + n * float(np.log(n_equation))
+    return Candidate(form, n, chi2, best.dof, chi2 + 2 * n, bic=bic, chi2_p=best.p_value)
 
 
 def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> tuple[Finding, ...]:
@@ -316,7 +307,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     stator = stator_of(spectra, band, settings.input, settings.output)
     given = _given_numbers(settings, stator)
     balance = balance_of(stator, given)
-    noise, solved = stator.noise, _solved_fit(stator, given, balance, settings)
+    smeared = smeared_balance(stator, given, balance)
+    noise, solved = stator.noise, _solved_fit(stator, given, balance, settings, smeared)
     likely = settings.estimates.likelihood
     best = solved.best
     error = stator_error(best, balance, noise) if likely else BalanceError(best.covariance)
@@ -331,7 +323,6 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     valued = (*main, *others, *dimensionless(main, section, load, speed))
     parameters, budget = budgeted(valued, solved.uncertainties, best.dof)
     fit = _report(settings, balance, solved, whole_band, error.named(parameters))
-    smeared = smeared_balance(stator, given, balance)
     stiffness = functools.partial(best.model.stiffness, best.values)
     findings = (
         *fit.findings,
@@ -348,6 +339,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *given_notes(given, solved.uncertainties, fitted),
         motion_note(stator),
         *_left_out(section, parameters),
+        *_exact_conditions(section, spectra, parameters),
         *(() if likely else (LS_NOTE,)),
     )
     shown = shown_course(balance, fitted, solved.uncertainties, given, shaft.sense)
@@ -362,21 +354,39 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     )
 
 
+NO_DIMENSIONLESS = "no coefficients without dimension: they need a speed, a load, and another form than bands"
+NO_ONSET = (
+    "no onset speed: it needs form kc or kcm with cross terms, motion against the shaft, a speed, and a "
+    "bearing that whirls"
+)
+
+
 def _left_out(section: DynamicStiffnessSettings, parameters: Sequence[Parameter]) -> list[str]:
-    """Notes on what was asked for and cannot be given."""
+    asked = (
+        (section.clearance, "k_xx_dimensionless", NO_DIMENSIONLESS),
+        (section.rotor_mass, "onset_speed", NO_ONSET),
+    )
     names = {parameter.name for parameter in parameters}
-    notes = []
-    if section.clearance is not None and "k_xx_dimensionless" not in names:
-        notes.append(
-            "dynamic-stiffness: no coefficients without dimension: they need a speed, a load, and another "
-            "form than bands."
-        )
-    if section.rotor_mass is not None and "onset_speed" not in names:
-        notes.append(
-            "dynamic-stiffness: no onset speed: it needs form kc or kcm with cross terms, motion against the "
-            "shaft, a speed, and a bearing that whirls."
-        )
-    return notes
+    return [
+        f"dynamic-stiffness: {note}."
+        for given, name, note in asked
+        if given is not None and name not in names
+    ]
+
+
+def _exact_conditions(
+    section: DynamicStiffnessSettings, spectra: ChannelSpectra, parameters: Sequence[Parameter]
+) -> list[str]:
+    names = {parameter.name for parameter in parameters}
+    uncertain = [
+        f"{name}: {spectra.conditions[name]}"
+        for name, value in (("speed", section.speed), ("load", section.load))
+        if value is None and is_uncertain(spectra.conditions.get(name))
+    ]
+    if not uncertain or not names & {"whirl_frequency_ratio", "k_xx_synchronous", "k_xx_dimensionless"}:
+        return []
+    what = "values by the speed or the load are without the uncertainty of the condition"
+    return [f"dynamic-stiffness: the intervals of {what} {', '.join(uncertain)}."]
 
 
 def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
@@ -384,18 +394,19 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
     mass = section.stator_mass
     if mass is None and isinstance(settings.mass, float):
         mass = dict(settings.uncertainties).get("mass", Uncertain(settings.mass))
-    if mass is not None and mass.value == 0:
-        mass = None
+    mass = None if mass == NONE else mass
     given = Given(mass, given_baseline(section), section.motion == "absolute")
     if mass is not None and effective_forces(stator):
         what = "the forces are without the stator's inertia already"
         raise SettingError("stator_mass", what, "stator_mass: 0 kg")
     if given.accelerated and not stator.accelerated and not given.absolute:
-        what = "mass of the stator" if mass is not None else "baseline"
-        what = f"the {what} acts with the stator's absolute motion, and there are no accelerations"
+        what = (
+            f"the {'baseline' if mass is None else 'mass of the stator'} acts with the stator's absolute "
+            "motion, and there are no accelerations: displacements against the shaft, which moves too, are "
+            "not that"
+        )
         hint = "measure accelerations in x and y; motion: absolute where the displacements are absolute"
-        not_that = "displacements against the shaft, which moves too, are not that"
-        raise ConfigError(f"{what}: {not_that}", hint=hint)
+        raise ConfigError(what, hint=hint)
     return given
 
 
@@ -409,7 +420,9 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
         raise ConfigError(f"conditions.{condition}: {error.what}", hint=hint) from None
 
 
-def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSettings) -> Solved:
+def _solved_fit(
+    stator: Stator, given: Given, balance: Balance, settings: FitSettings, smeared: SmearedBalance | None
+) -> Solved:
     section: DynamicStiffnessSettings = settings.model_settings
     noise = stator.noise
     if not settings.estimates.likelihood:
@@ -419,7 +432,6 @@ def _solved_fit(stator: Stator, given: Given, balance: Balance, settings: FitSet
         return Solved(best, given_uncertainties(errors, respond), None)
     uncertain = functools.partial(errors_by_given, stator, given)
     best, candidates = _most_likely(balance, settings, noise, uncertain)
-    smeared = smeared_balance(stator, given, balance)
     if smeared is not None:
         measured = balance
         for _ in range(LEAKAGE_ROUNDS):

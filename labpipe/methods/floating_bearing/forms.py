@@ -40,10 +40,6 @@ class ShapeParameter:
         """The value in its unit of the fitted number."""
         return float(np.exp(inner)) / self.factor if self.logarithmic else float(inner)
 
-    def inner(self, shown: float) -> float:
-        """The fitted number of a value in its unit."""
-        return float(np.log(self.factor * shown)) if self.logarithmic else float(shown)
-
     def slope(self, inner: float) -> float:
         """d shown / d inner."""
         return self.shown(inner) if self.logarithmic else 1.0
@@ -126,11 +122,8 @@ def _times(omega: FloatArray) -> FloatArray:
 
 
 def _oscillators(omega: FloatArray) -> FloatArray:
-    frequencies, dampings = (
-        np.log(np.geomspace(omega[0] / 1.5, 3 * omega[-1], 9)),
-        np.log([0.05, 0.2, 0.5, 1.0, 2.5]),
-    )
-    return np.stack(np.meshgrid(frequencies, dampings), axis=-1).reshape(-1, 2)
+    frequencies, dampings = np.geomspace(omega[0] / 1.5, 3 * omega[-1], 9), [0.05, 0.2, 0.5, 1.0, 2.5]
+    return np.log(np.stack(np.meshgrid(frequencies, dampings), axis=-1)).reshape(-1, 2)
 
 
 def _powers(_omega: FloatArray) -> FloatArray:
@@ -212,11 +205,8 @@ class StiffnessModel:
 
     @property
     def units(self) -> tuple[str, ...]:
-        n = len(SYMMETRIES[self.symmetry])
-        return (
-            *(unit for _, unit in self.form.matrices for _ in range(n)),
-            *(parameter.unit for parameter in self.form.shape),
-        )
+        linear = [unit for _, unit in self.form.matrices for _ in self.elements]
+        return (*linear, *(parameter.unit for parameter in self.form.shape))
 
     @property
     def n_shape(self) -> int:
@@ -224,7 +214,7 @@ class StiffnessModel:
 
     @property
     def n_linear(self) -> int:
-        return len(self.form.matrices) * len(SYMMETRIES[self.symmetry])
+        return len(self.form.matrices) * len(self.elements)
 
     def matrices(self, values: FloatArray) -> FloatArray:
         """The M_k (n_matrix, 2, 2) [N/m, N.s/m, kg] of values (n_parameter,)."""
@@ -255,5 +245,4 @@ class StiffnessModel:
 
 def _element_name(letter: str, suffix: str) -> str:
     plain = letter.rstrip("0123456789")
-    number = letter[len(plain) :]
-    return f"{plain}_{suffix}" + (f"_{number}" if number else "")
+    return f"{plain}_{suffix}_{letter.removeprefix(plain)}".rstrip("_")

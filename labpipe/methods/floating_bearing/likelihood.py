@@ -94,18 +94,15 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
     (ds-residual).
     """
     h = stiffness[:, None]
-    of_motion = balance.cross - balance.motion_covariance @ h.conj().swapaxes(-1, -2)
-    s = (
-        balance.right_covariance
-        - balance.cross.conj().swapaxes(-1, -2) @ h.conj().swapaxes(-1, -2)
-        - h @ of_motion
-    )
+    turned = h.conj().swapaxes(-1, -2)
+    of_motion = balance.cross - balance.motion_covariance @ turned
+    s = balance.right_covariance - balance.cross.conj().swapaxes(-1, -2) @ turned - h @ of_motion
     l_xx = np.sqrt(s[..., 0, 0].real)
     l_yx = s[..., 1, 0] / l_xx
     l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
-    plain = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
-    white = Whitened(plain.whiten(plain.white), balance.motion, l_xx, l_yx, l_yy)
-    return Whitened(white.white, balance.motion - times(of_motion, white.weighted()), l_xx, l_yx, l_yy)
+    state = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
+    state = replace(state, white=state.whiten(state.white))
+    return replace(state, smoothed=balance.motion - times(of_motion, state.weighted()))
 
 
 class ErrorsInVariables:
@@ -138,22 +135,12 @@ class ErrorsInVariables:
         return real_rows(self.at(parameters).white.reshape(1, -1))[0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
-        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit], element by element
-        of the matrices.
-
-        Equation (ds-jacobian).
+        """-L^-1 (dH/dp) m^ as real columns (n_equation, n_parameter) [1/parameter unit]. Equation
+        (ds-jacobian).
         """
-        state, model, omega = self.at(parameters), self.model, self.balance.omega
-        theta = parameters[model.n_linear :]
-        moved = state.whiten(times(model.elements[:, None, None], state.smoothed))
-        basis = model.form.basis(theta, omega)
-        linear = (-basis[:, None, :, None, None] * moved).reshape(model.n_linear, -1)
-        if model.n_shape:
-            slopes = model.form.slopes(theta, omega)
-            change = np.tensordot(slopes.transpose(0, 2, 1), model.matrices(parameters), 1)
-            shaped = -state.whiten(times(change[:, :, None], state.smoothed)).reshape(model.n_shape, -1)
-            linear = np.concatenate([linear, shaped])
-        return real_rows(linear).T
+        state, slopes = self.at(parameters), self.model.jacobian(parameters, self.balance.omega)
+        moved = state.whiten(times(slopes[:, :, None], state.smoothed))
+        return real_rows(-moved.reshape(len(slopes), -1)).T
 
     def chi2(self, parameters: FloatArray) -> float:
         """V [1] at *parameters* (n_parameter,). Equation (ds-likelihood)."""
@@ -473,11 +460,16 @@ def stated_pulls(changes: FloatArray, residual: FloatArray, jacobian: FloatArray
     return replace(by_estimate, explained=by_noise.explained)
 
 
+def unit_columns(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns (n_equation, n) [any unit] of length 1, and their lengths (n,), 1 of those of zero."""
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    return columns / scale, scale
+
+
 def inverse_information(jacobian: FloatArray) -> FloatArray:
     """(2 J^T J)^-1 (n, n) [parameter units] of real columns (n_equation, n) of unit complex noise;
     pseudo-inverse of a singular one. Equation (ds-covariance).
     """
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    columns = jacobian / scale
+    columns, scale = unit_columns(jacobian)
     return np.linalg.pinv(2 * columns.T @ columns, hermitian=True) / np.outer(scale, scale)

@@ -22,7 +22,7 @@ from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import Pulls
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES, StiffnessModel
-from labpipe.methods.floating_bearing.likelihood import Balance, Whitened, real_rows, times
+from labpipe.methods.floating_bearing.likelihood import Balance, Whitened, real_rows, times, unit_columns
 from labpipe.methods.floating_bearing.stator import ONE_DIRECTION, Stator
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
@@ -42,13 +42,12 @@ Respond = Callable[[ComplexArray], NDArray[Any]]
 @dataclass(frozen=True)
 class Baseline:
     """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
-    *model*, with *uncertainties*.
+    *model*, with *uncertainties*; *test*: that of the fit which they are from.
     """
 
     model: StiffnessModel
     values: FloatArray
     uncertainties: tuple[GivenUncertainty, ...]
-    name: str = ""
     test: str = ""
 
     def stiffness(self, omega: FloatArray) -> ComplexArray:
@@ -145,9 +144,8 @@ def given_errors(
             errors.append((of_number, np.tensordot(number.changes, by_value, 1)))
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
-    for of_factor, error in factor_errors(stator.spectra, stator.omega, rows, clean):
-        errors.append((of_factor, error[None]))
-    return join(errors)
+    by_factors = factor_errors(stator.spectra, stator.omega, rows, clean)
+    return join([*errors, *((of_factor, error[None]) for of_factor, error in by_factors)])
 
 
 def factor_errors(
@@ -201,9 +199,8 @@ def response_of(whiten: Respond, columns: FloatArray) -> Callable[[ComplexArray]
     """dp = -(J^T J)^-1 J^T L^-1 de of the most likely estimates; *whiten*: L^-1 of forces, *columns* J
     (n_equation, n_parameter) [1/parameter unit]. Equation (ds-given).
     """
-    scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    gain = -np.linalg.pinv(columns / scale) / scale[:, None]
+    unit, scale = unit_columns(columns)
+    gain = -np.linalg.pinv(unit) / scale[:, None]
 
     def respond(errors: ComplexArray) -> FloatArray:
         return np.asarray(real_rows(whiten(errors).reshape(len(errors), -1)) @ gain.T)
@@ -343,6 +340,7 @@ def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBa
 
 MOTIONS = ("relative", "absolute")
 SYMMETRIES = ("none", "seal", "direct")
+OF_SOMMERFELD = ("viscosity", "diameter", "length")
 COMPARED = ("kc", "kcm", "relaxation", "pad")
 
 
@@ -409,8 +407,7 @@ class DynamicStiffnessSettings(Settings):
             raise SettingError("stator_mass", "'stator_mass' is negative")
         if self.rotor_mass is not None and self.rotor_mass.value <= 0:
             raise SettingError("rotor_mass", "'rotor_mass' is that of a rotor, above zero")
-        self.require_positive("band_width", "rotor_stiffness", "load", "clearance", "viscosity", "diameter")
-        self.require_positive("length")
+        self.require_positive("band_width", "rotor_stiffness", "load", "clearance", *OF_SOMMERFELD)
         self._check_companions()
         if not self.forms:
             raise SettingError("forms", "'forms' names none", f"for example [{', '.join(COMPARED)}]")
@@ -421,12 +418,10 @@ class DynamicStiffnessSettings(Settings):
             raise SettingError("band_width", "'band_width' goes with form: bands", "leave it out")
 
     def _check_companions(self) -> None:
-        """ConfigError for a number that says nothing without another one."""
-        of_sommerfeld = ("viscosity", "diameter", "length")
         for name, of, other in (
             ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
-            *((name, "a clearance", "clearance") for name in ("load", *of_sommerfeld)),
-            *((name, f"a {other}", other) for name in of_sommerfeld for other in of_sommerfeld),
+            *((name, "a clearance", "clearance") for name in ("load", *OF_SOMMERFELD)),
+            *((name, f"a {other}", other) for name in OF_SOMMERFELD for other in OF_SOMMERFELD),
         ):
             if getattr(self, name) is not None and getattr(self, other) is None:
                 raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")

@@ -63,13 +63,13 @@ def stator_of(
 
 
 def _columns_of_quantity(spectra: ChannelSpectra, quantity: str) -> list[int]:
-    """Columns of a quantity in its role; of accelerations else those of sums, as references."""
+    """Of accelerations else those of sums, as references."""
     columns = spectra.columns(quantity, ROLES[quantity])
     return columns or (spectra.columns(quantity, "reference") if quantity == ACCELERATION else [])
 
 
 def _chosen_columns(spectra: ChannelSpectra, quantity: str, names: Sequence[str]) -> list[int]:
-    """Columns of a quantity by name, else all that do not act through a chosen sum."""
+    """By name, else all that do not act through a chosen sum."""
     columns = _columns_of_quantity(spectra, quantity)
     if names:
         return named_columns(spectra, columns, names)
@@ -129,7 +129,6 @@ def direction(channel: Channel) -> float:
 
 
 def _check_once(channels: Sequence[Channel], quantity: str) -> None:
-    """ConfigError for two channels of one direction, as a force with and without its inertia."""
     seen: dict[str, str] = {}
     for channel in channels:
         if channel.dof in seen:
@@ -217,9 +216,8 @@ def other_excitations(
     Equation (ds-excitation).
     """
     n_line, n_run = stator.channels.shape[:2]
-    rows = columns.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)
-    scale = np.linalg.norm(columns, axis=0)
-    rows = rows / np.where(scale > 0, scale, 1.0)
+    unit, _ = likelihood.unit_columns(columns)
+    rows = unit.reshape(2, n_line, 2 * n_run, -1).transpose(1, 0, 2, 3).reshape(n_line, 4 * n_run, -1)
     information = rows.swapaxes(1, 2) @ rows
     power = np.sum(np.abs(stator.axes[..., :2]) ** 2, axis=(1, 2))
     acting = power > QUIET * power.max()

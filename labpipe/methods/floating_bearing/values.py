@@ -301,7 +301,6 @@ def plain_values(
 
 
 def _wide(parameter: Parameter, noise: float, whole: float) -> Parameter:
-    """The interval and significance by the whole standard error."""
     return widen(parameter, whole / noise) if noise > 0 and whole > SAME * noise else parameter
 
 
@@ -386,7 +385,6 @@ def _derive(
     interval: tuple[float, float] | None,
     besides: float = 0.0,
 ) -> Valued:
-    """With its error in all, by the fitted values and *besides*."""
     noise = fitted.error(slopes, whole=False)
     whole = float(np.hypot(fitted.error(slopes, whole=True), besides))
     inflated = whole if whole > SAME * noise else None

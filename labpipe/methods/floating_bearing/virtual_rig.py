@@ -168,6 +168,10 @@ class FloatingRig(Settings):
         if self.journal is None and any(condition.film == "journal" for _, condition in self.conditions):
             what = "a condition has the film of a journal bearing, the rig has no `journal`"
             raise SettingError("conditions", what)
+        fastest = max(condition.speed for _, condition in self.conditions) * max(len(self.runout), 1)
+        if not fastest < self.sample_rate / 2:
+            what = f"the shaft turns, or runs out, at {fastest:g} Hz, beyond half the sampling rate"
+            raise SettingError("sample_rate", what, f"above {2 * fastest:g} Hz")
         if not self.band[1] < self.sample_rate / 2:
             what = f"band must lie below half the sampling rate, {self.sample_rate / 2:g} Hz"
             raise SettingError("band", what)
@@ -320,7 +324,6 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
 
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
-    """Amplitudes (n_sample // 2 + 1, 2) [N]: a multisine times *shares*, or its lines in turn."""
     design = design_multisine(rig.band, rig.spacing, rig.force)
     size = (design.lines * design.spacing) ** rig.slope
     amplitude = size * np.exp(1j * design.phases)

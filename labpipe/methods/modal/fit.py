@@ -20,10 +20,10 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
-from labpipe.estimation.weights import NOISE_FREE, equal_weights, has_noise, whitener
+from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
 from labpipe.methods.modal import model_error
 from labpipe.methods.modal import poles as lscf
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, one_step
 from labpipe.methods.modal.moved import (
     FEWEST_POINTS,
     MovedMode,
@@ -33,15 +33,15 @@ from labpipe.methods.modal.moved import (
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import (
-    MOST_ENTRIES,
     ModalEstimate,
     ModalReceptance,
+    regular,
     whole_covariance_fit,
 )
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
-from labpipe.records.response import BlockCovariance, FrequencyResponse, Port, shown_ports
+from labpipe.records.response import BlockCovariance, FrequencyResponse, shown_ports
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 
@@ -49,23 +49,25 @@ from labpipe.spectra.convert import DERIVATIVES, receptance_factor
 def _sources(
     settings: FitSettings, sides: _Sides, terms: ResidualTerms, estimate: ModalEstimate
 ) -> list[Source]:
-    """Changes of the parameters (n_parameter,) [parameter units] by the mass and by every source in the FRFs'
-    sensors and sums.
-
-    Directions count where two points or more of known direction tell the motion in their plane, likewise two
-    forces.
-
-    One step of Gauss-Newton of the output-error fit from its estimate, p - (J^T J)^-1 J^T W dH; no fit is
-    repeated. None where the Jacobian is too large to be held in memory.
+    """By one step of Gauss-Newton from the estimate, p - (J^T J)^-1 J^T W dH, no fit is repeated; with the
+    shapes eliminated where the fit has the weights of its residual. Directions count where two points or more
+    of known direction tell the motion in their plane, likewise two forces.
     """
-    refined, measured = estimate.refined, sides.measured
+    refined, measured, lines = estimate.refined, sides.measured, sides.lines
     of_mass = mass_source(_parameters(settings, sides, estimate, refined), settings)
     errors = matrix_errors(measured, directions=True)
-    model = ModalReceptance.of(terms, refined, measured, real=settings.model_settings.shapes == "real")
-    if not errors or model.n_parameter * measured.n_equation > MOST_ENTRIES:
-        return of_mass
+    real = settings.model_settings.shapes == "real"
+
+    def eliminated(change: ComplexArray) -> FloatArray:
+        moved = replace(lines, matrix=lines.matrix + (lines.s**lines.power)[:, None, None] * change)
+        again = one_step(replace(terms, lines=moved), refined, real=real)
+        return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
+
+    if not errors or estimate.chi2_reduced is None:
+        return [*changes_by(errors, eliminated), *of_mass]
+    model = ModalReceptance.of(terms, refined, measured, real=real)
     values = model.joined(refined, measured)
-    problem = OutputError(measured, model, _weights(measured))
+    problem = OutputError(measured, model, whitener(regular(measured)))
     jacobian = problem.jacobian(values)
     step = solve_scaled(jacobian, problem.residual(values))[1] @ jacobian.T
 
@@ -77,13 +79,6 @@ def _sources(
     return [*changes_by(errors, changed), *of_mass]
 
 
-def _weights(measured: Measured) -> ComplexArray:
-    try:
-        return whitener(measured) if has_noise(measured) else equal_weights(measured)
-    except FitError:
-        return equal_weights(measured)
-
-
 def mismatch(estimate: ModalEstimate) -> float | None:
     """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
     if estimate.chi2_reduced is None or estimate.chi2_p is None or estimate.chi2_p >= MISMATCH_P:
@@ -92,9 +87,7 @@ def mismatch(estimate: ModalEstimate) -> float | None:
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
-    """Whether the residual is no noise where the noise is not known: nothing then says how wide an interval
-    would be.
-    """
+    """Whether the residual is no noise where the noise is not known."""
     return estimate.chi2_reduced is None and p_noise < MISMATCH_P
 
 
@@ -135,24 +128,20 @@ def modal_findings(
     return tuple(warnings)
 
 
-def _with_width_findings(fit: Fit, narrow: Mapping[int, float]) -> Fit:
-    if not narrow:
-        return fit
-    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
-    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
+def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
+    """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
+    loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
+    if not loaded:
+        return ()
     message = (
-        f"half-power widths of {model_error.LEAST_LINES:g} lines or less: {places}. The window of the "
-        "analyser, and how much leaked, decide such a peak: its damping, and whether a second mode seems to "
-        "stand beside it. The interval of the damping holds what a Hann window may add to it. Measure with "
-        "finer lines (a longer `block`), or say `window:` in the entry of an FRF file under frfs:"
+        f"f_n and zeta of mode {', '.join(loaded)} are those with the moving mass: {FEWEST_POINTS} points or "
+        "fewer show the mode by itself. Measure more points where it moves"
     )
-    return replace(fit, findings=(*fit.findings, Finding("leakage", message)))
+    return (Finding("moved-mode", message),)
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
-    """A warning for every modal mass that is negative by more than its uncertainty: at a driving point no
-    structure has one.
-    """
+    """A warning of modal masses that are negative by more than their uncertainty: no structure has one."""
     modes = [p.name.removeprefix("m_") for p in parameters if p.name.startswith("m_") and p.is_negative]
     if not modes:
         return ()
@@ -213,19 +202,11 @@ class _Sides:
     by_force: bool
 
     @property
-    def points(self) -> tuple[Port, ...]:
-        return self.measured.outputs
-
-    @property
-    def references(self) -> tuple[Port, ...]:
-        return self.measured.inputs
-
-    @property
     def driving_points(self) -> tuple[model_error.DrivingPoint, ...]:
-        dofs = [port.dof for port in self.references] if self.by_force else []
+        dofs = [port.dof for port in self.measured.inputs] if self.by_force else []
         return tuple(
             model_error.DrivingPoint(row, dofs.index(port.dof), port.dof)
-            for row, port in enumerate(self.points)
+            for row, port in enumerate(self.measured.outputs)
             if port.dof in dofs
         )
 
@@ -252,68 +233,64 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
     )
-    n_point = len(sides.points)
-    if modal.moving_mass is not None and n_point <= FEWEST_POINTS:
-        what = f"of {n_point} point(s) 'moving_mass' cannot tell the structure without it"
+    points, references = sides.measured.outputs, sides.measured.inputs
+    if modal.moving_mass is not None and len(points) <= FEWEST_POINTS:
+        what = f"of {len(points)} point(s) 'moving_mass' cannot tell the structure without it"
         raise SettingError("moving_mass", what, f"measure more than {FEWEST_POINTS}")
     if modal.structure is not None:
-        modal.structure.check([port.dof for port in sides.points])
+        modal.structure.check([port.dof for port in points])
     diagram, start = _first_modes(sides.lines, modal)
     refined, terms = lscf.refine_with_terms(sides.lines, start.values, start.participation)
-    refined, terms, dropped = lscf.kept_modes(sides.lines, refined, terms)
+    refined, terms, dropped = lscf.kept_modes(refined, terms)
     # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
     # need.
-    line_noise = lscf.LineNoise(response.line_correlation)
-    whole = lscf.complete(sides.lines, refined, terms, line_noise, adding=not modal.poles)
-    sides, whole, moved, loaded = _at_mean_poles(sides, whole, line_noise, modal)
+    correlation = response.line_correlation
+    whole = lscf.complete(refined, terms, correlation, adding=not modal.poles)
+    sides, whole, moved, loaded = _at_mean_poles(sides, whole, correlation, modal)
     if real := modal.shapes == "real":
-        whole = lscf.with_real_modes(sides.lines, whole, line_noise)
+        whole = lscf.with_real_modes(whole, correlation)
     terms = whole.terms
     estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
-    if not (has_noise(sides.measured) or response.line_correlation):
-        narrow = model_error.narrow_modes(estimate.refined, sides.lines)
-        fit = _with_width_findings(model_error.with_window(fit, narrow), narrow)
+    if not (has_noise(sides.measured) or correlation):
+        fit = model_error.with_window(fit, model_error.narrow_modes(estimate.refined, sides.lines))
     beside = (*loaded, *quality_findings(response, rows, columns, chosen))
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
-    modes = model_error.shape_record(
-        estimate.refined,
-        terms,
-        sides.points,
-        sides.references,
-        sides.forces_move,
-        _diagram_record(sides.lines, diagram),
-        diagram.returns(estimate.refined.poles, estimate.refined.participation),
+    refined = estimate.refined
+    returns = diagram.returns(refined.poles, refined.participation)
+    record = _diagram_record(sides.lines, diagram)
+    driving = model_error.strongest_points(refined, sides.driving_points)
+    modes = replace(
+        model_error.shape_record(refined, terms, points, references, sides.forces_move, record, returns),
+        driving_points=tuple(place.dof for place in driving),
+        geometry=modal.structure,
     )
-    driving = tuple(
-        place.dof for place in model_error.strongest_points(estimate.refined, sides.driving_points)
-    )
-    modes = replace(modes, driving_points=driving, geometry=modal.structure)
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
 
 def _at_mean_poles(
-    sides: _Sides, whole: lscf.Completed, noise: lscf.LineNoise, modal: ModalSettings
+    sides: _Sides, whole: lscf.Completed, correlation: tuple[complex, ...], modal: ModalSettings
 ) -> tuple[_Sides, lscf.Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
     moving = modal.moving_mass is not None
-    lines, whole, moved, loaded = with_moved_modes(sides.lines, whole, noise, moving=moving)
+    lines, whole, moved, loaded = with_moved_modes(sides.lines, whole, correlation, moving=moving)
     return replace(sides, lines=lines, measured=aligned_measured(sides.measured, moved)), whole, moved, loaded
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
-    is_hysteretic = settings.damping != VISCOUS
-    for key, written, given in (
-        ("shapes", "shapes: real", modal.shapes == "real"),
-        ("moving_mass", "moving_mass", modal.moving_mass is not None),
-    ):
-        if is_hysteretic and given:
-            what = f"'{written}' cannot be combined with {settings.damping} damping"
+    if settings.damping == VISCOUS:
+        return False
+    for written, given in (("shapes: real", modal.shapes == "real"), ("moving_mass", modal.moving_mass)):
+        if given:
+            key, what = (
+                written.split(":")[0],
+                f"'{written}' cannot be combined with {settings.damping} damping",
+            )
             raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
-    return is_hysteretic
+    return True
 
 
 def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
@@ -333,8 +310,8 @@ def _beyond(
     sides: _Sides,
     refined: Refined,
 ) -> Measured:
-    """The same FRFs in a wider band, the lines around it that a mode must survive: by BEYOND of the band, or
-    by the largest half-power width that it does not hold three times.
+    """The lines around the band that a mode must survive: BEYOND of it, or the largest half-power width that
+    it does not hold three times.
     """
     whole = band[1] - band[0]
     widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
@@ -373,9 +350,8 @@ def _turn(measured: Measured) -> Measured:
 
 
 def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf.Poles]:
-    """The stabilisation diagram and the modes to begin with, as it shows them or as they are named.
-
-    Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked at.
+    """Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked
+    at.
     """
     edges = float(lines.omega[0]), float(lines.omega[-1])
     omega, matrix, highest = lines.omega, lines.matrix, _highest_order(lines.omega.size, modal)
@@ -408,13 +384,12 @@ def _highest_order(n_line: int, modal: ModalSettings) -> int:
 def _by_hand(
     equations: lscf.NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
 ) -> lscf.Poles:
-    frequencies = 2 * np.pi * np.sort(np.array(modal.poles))
-    outside = frequencies[(frequencies < edges[0]) | (frequencies > edges[1])]
-    if outside.size:
-        inside = f"{edges[0] / (2 * np.pi):g} to {edges[1] / (2 * np.pi):g} Hz"
-        what = f"the pole {outside[0] / (2 * np.pi):g} Hz lies outside the band"
-        raise SettingError("poles", what, f"the lines go from {inside}")
-    return lscf.nearest_modes(equations, frequencies, highest)
+    low, high = (edge / (2 * np.pi) for edge in edges)
+    for pole in sorted(modal.poles):
+        if not low <= pole <= high:
+            what = f"the pole {pole:g} Hz lies outside the band"
+            raise SettingError("poles", what, f"the lines go from {low:g} to {high:g} Hz")
+    return lscf.nearest_modes(equations, 2 * np.pi * np.sort(modal.poles), highest)
 
 
 def _check_start(start: lscf.Poles, lines: Lines, highest: int, modal: ModalSettings) -> None:
@@ -465,6 +440,7 @@ def _report(
         errors = model_error.model_errors(
             measured, beyond, estimate, parameters, misfit, moved, moving=moving
         )
+    loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are no fault of the modes.
     named = errors if misfit or not shown else {}
     if misfit or errors:
@@ -487,8 +463,8 @@ def _report(
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, p_noise, named), *mass_findings(parameters)),
-        notes=modal_notes(estimate, whole, len(sides.references), sides.forces_move),
+        findings=(*modal_findings(estimate, p_noise, named), *loaded, *mass_findings(parameters)),
+        notes=modal_notes(estimate, whole, len(measured.inputs), sides.forces_move),
     )
 
 

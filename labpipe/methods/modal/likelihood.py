@@ -49,15 +49,6 @@ class Lines:
         """Distance of neighbouring lines [rad/s], whatever a band or a mask leaves out between others."""
         return float(np.median(np.diff(self.omega)))
 
-    @property
-    def n_element(self) -> int:
-        return self.matrix.shape[1] * self.matrix.shape[2]
-
-    @property
-    def weighted(self) -> ComplexArray:
-        """The FRFs times the weight, (n_line, n_output, n_input) [unit of the FRF]."""
-        return np.asarray(self.matrix * self.weight[:, None, None])
-
 
 @dataclass(frozen=True)
 class ResidualTerms:
@@ -100,7 +91,7 @@ class ResidualTerms:
     @cached_property
     def remainder(self) -> ComplexArray:
         """The data (n_line, n_output, n_input) [unit of the FRF] without the terms."""
-        weighted = self.lines.weighted
+        weighted = self.lines.matrix * self.lines.weight[:, None, None]
         return self.without(weighted.reshape(weighted.shape[0], -1)).reshape(weighted.shape)
 
     @cached_property
@@ -166,7 +157,6 @@ class _Sums:
 
 
 def refine(
-    lines: Lines,
     terms: ResidualTerms,
     poles: ComplexArray,
     participation: ComplexArray,
@@ -185,7 +175,7 @@ def refine(
     # Exactly 1, which a complex quotient need not be: entries of 1 are not estimated.
     scaled[rows, largest] = 1.0
     start = np.asarray(scaled)
-    state = _State.at(lines, terms, poles, start.real + 0j if real else start, real)
+    state = _State.at(terms, poles, start.real + 0j if real else start, real)
     for steps in range(1, most_steps + 1):
         step, std_errors = state.step()
         if np.all(np.abs(step) <= NEGLIGIBLE * std_errors):
@@ -208,7 +198,6 @@ def _move(state: _State, step: FloatArray) -> _State | None:
 
 @dataclass(frozen=True)
 class _State:
-    lines: Lines
     terms: ResidualTerms
     sums: _Sums
     poles: ComplexArray
@@ -221,20 +210,15 @@ class _State:
         return int(self.poles.size)
 
     @classmethod
-    def at(
-        cls, lines: Lines, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool
-    ) -> _State:
-        even, sums = np.ones(lines.matrix.shape[1:]), _sums(lines, terms, poles)
-        return cls(lines, terms, sums, poles, participation, even, real).with_noise().with_noise()
+    def at(cls, terms: ResidualTerms, poles: ComplexArray, participation: ComplexArray, real: bool) -> _State:
+        even, sums = np.ones(terms.lines.matrix.shape[1:]), _sums(terms, poles)
+        return cls(terms, sums, poles, participation, even, real).with_noise().with_noise()
 
     def with_noise(self) -> _State:
-        """The noise E|n|^2 of every element from its residual: complex lines less the complex parameters that
-        it has for itself.
-        """
-        psi, _ = self._shapes()
+        # Complex lines less the complex parameters that an element has for itself.
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
-        dof = max(self.lines.omega.size - n_per_element, 1.0)
-        return replace(self, variance=_rss(self.sums, self.participation, psi) / dof)
+        dof = max(self.terms.lines.omega.size - n_per_element, 1.0)
+        return replace(self, variance=self._rss(self._shapes()[0]) / dof)
 
     def after(self, step: FloatArray) -> _State | None:
         poles = self.poles + step[0 : 2 * self.n_mode : 2] + 1j * step[1 : 2 * self.n_mode : 2]
@@ -244,20 +228,43 @@ class _State:
         change = step[2 * self.n_mode :]
         rows, columns = _free(self.participation)
         participation[rows, columns] += change[0::2] + 1j * change[1::2]
-        sums = _sums(self.lines, self.terms, poles)
+        sums = _sums(self.terms, poles)
         return replace(self, sums=sums, poles=poles, participation=participation)
 
     def _shapes(self) -> tuple[ComplexArray, FloatArray]:
-        return shapes_of(self.sums, self.participation, self.variance, real=self.real)
+        """Shapes (n_output, n_mode) of least misfit, imaginary of real modes, and the inverse of their normal
+        matrices (n_output, 2 n_mode, 2 n_mode).
+        """
+        k, chosen = 2 * self.n_mode, slice(1, None, 2) if self.real else slice(None)
+        columns = _shape_columns(self.participation)[:, :, chosen]
+        single = columns.swapaxes(1, 2) @ self.sums.gram[:k, :k] @ columns
+        normal = np.tensordot(1 / self.variance, single, 1)
+        right_side = np.sum((self.sums.data[:k] / self.variance).transpose(2, 1, 0) @ columns, axis=0)
+        scale = np.sqrt(np.einsum("omm->om", normal))
+        scales = scale[:, :, None] * scale[:, None, :]
+        try:
+            inverse = np.linalg.inv(normal / scales)
+        except np.linalg.LinAlgError:
+            inverse = np.linalg.pinv(normal / scales, rcond=ROUNDING, hermitian=True)
+        whole, values = np.zeros((normal.shape[0], k, k)), np.zeros((normal.shape[0], k))
+        whole[:, chosen, chosen] = inverse / scales
+        values[:, chosen] = np.einsum("omn,on->om", whole[:, chosen, chosen], right_side)
+        return values[:, 0::2] + 1j * values[:, 1::2], whole
+
+    def _rss(self, psi: ComplexArray) -> FloatArray:
+        coefficients, sums = _coefficients(self.participation, psi), self.sums
+        k = coefficients.shape[-1]
+        fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])
+        square = np.sum(coefficients * (coefficients @ sums.gram[:k, :k]), axis=-1)
+        return np.maximum(sums.size - 2 * fitted + square, 1e-15 * sums.size)
 
     @property
     def chi2(self) -> float:
-        psi, _ = self._shapes()
-        return float(np.sum(_rss(self.sums, self.participation, psi) / self.variance))
+        return float(np.sum(self._rss(self._shapes()[0]) / self.variance))
 
     def step(self) -> tuple[FloatArray, FloatArray]:
         normal, gradient, *_ = self._schur()
-        inverse = _pseudo_inverse(normal)
+        inverse = pseudo_inverse(normal)
         return inverse @ gradient, np.sqrt(np.diag(inverse) / 2)
 
     def _schur(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, ComplexArray]:
@@ -278,27 +285,44 @@ class _State:
         return d - b.reshape(-1, n).T @ eliminated.reshape(-1, n), gradient, inverse, eliminated, psi
 
     def theta_columns(self, psi: ComplexArray) -> FloatArray:
-        """As _theta_columns; real modes have a real participation."""
-        columns = _theta_columns(self.participation, psi)
+        """Coefficients of all functions per parameter, (n_output, n_input, 4 n_mode, n)."""
+        n_mode, n_input = self.participation.shape
+        rows, columns = _free(self.participation)
+        values = np.zeros((psi.shape[0], n_input, 4 * n_mode, 2 * n_mode + 2 * len(rows)))
+        residue = psi[:, None, :] * self.participation.T[None]
+        for mode in range(n_mode):
+            # d / d Re lambda has the residue R on the squared denominators, d / d Im lambda has j R.
+            at = 2 * n_mode + 2 * mode
+            values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turn(residue[:, :, mode])
+        for number, (mode, column) in enumerate(zip(rows, columns, strict=True)):
+            at = 2 * n_mode + 2 * number
+            values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turn(psi[:, mode])
         if self.real:
-            columns[..., 2 * self.n_mode + 1 :: 2] = 0.0
-        return columns
+            # The participation is real as well.
+            values[..., 2 * n_mode + 1 :: 2] = 0.0
+        return values
 
     def result(self, converged: bool, steps: int) -> Refined:
         normal, _, inverse, eliminated, psi = self._schur()
-        covariance = _pseudo_inverse(normal) / 2
+        covariance = pseudo_inverse(normal) / 2
         crossed = -eliminated @ covariance
         shape_covariance = inverse / 2 - np.einsum("omn,opn->omp", crossed, eliminated)
-        n_line = self.lines.omega.size
-        rss = _rss(self.sums, self.participation, psi)
-        information = 2 * n_line * float(np.sum(np.log(rss)))
+        lines = self.terms.lines
+        information = 2 * lines.omega.size * float(np.sum(np.log(self._rss(psi))))
         modes = self.poles, self.participation, psi, covariance, shape_covariance, crossed
-        return Refined(*modes, self.variance, information, converged, steps, self.lines.hysteretic)
+        return Refined(*modes, self.variance, information, converged, steps, lines.hysteretic)
 
 
-def remaining(lines: Lines, terms: ResidualTerms, refined: Refined) -> ComplexArray:
+def one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+    """The refined modes one step of Gauss-Newton on, for the FRFs of *terms*; *real*: as in refine."""
+    state = _State.at(terms, refined.poles, refined.participation, real)
+    state = replace(state, variance=refined.noise)
+    return (state.after(state.step()[0]) or state).result(True, 1)
+
+
+def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
-    pairs = terms.without(_functions(lines, refined.poles))[:, : 2 * refined.poles.size]
+    pairs = terms.without(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]
     coefficients = _coefficients(refined.participation, refined.shapes)
     return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients))
 
@@ -311,10 +335,10 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
-    state = _State.at(lines, terms, refined.poles, refined.participation, real)
+    state = _State.at(terms, refined.poles, refined.participation, real)
     state = replace(state, variance=refined.noise)
     normal, _, inverse, eliminated, psi = state._schur()
-    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(lines, terms, refined)
+    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(terms, refined)
     of_shapes, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
     by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
 
@@ -357,8 +381,10 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     )
 
 
-def _pseudo_inverse(normal: FloatArray) -> FloatArray:
-    """Without the directions that rounding alone determines (two modes on one place)."""
+def pseudo_inverse(normal: FloatArray) -> FloatArray:
+    """The inverse of a normal matrix (n, n) [any unit] without the directions that rounding alone determines
+    (two modes on one place).
+    """
     diagonal = np.diag(normal)
     scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
     values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
@@ -367,7 +393,7 @@ def _pseudo_inverse(normal: FloatArray) -> FloatArray:
 
 
 def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
-    """Entries that are estimated: all but the 1 of each row."""
+    """All but the 1 of each row."""
     rows, columns = np.nonzero(participation != 1)
     return rows, columns
 
@@ -394,7 +420,8 @@ def pole_functions(
     return (a, b), (a**2, b**2)
 
 
-def _sums(lines: Lines, terms: ResidualTerms, poles: ComplexArray) -> _Sums:
+def _sums(terms: ResidualTerms, poles: ComplexArray) -> _Sums:
+    lines = terms.lines
     functions = terms.without(_functions(lines, poles))
     gram = (functions.conj().T @ functions).real
     flat = terms.remainder.reshape(lines.omega.size, -1)
@@ -406,8 +433,8 @@ def _shape_columns(participation: ComplexArray) -> FloatArray:
     """Coefficients of (u, v) of every mode per Re and Im of psi, (n_input, 2 n_mode, 2 n_mode): R = psi l."""
     n_mode, n_input = participation.shape
     columns = np.zeros((n_input, 2 * n_mode, 2 * n_mode))
-    for mode in range(n_mode):
-        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turn(participation[mode])
+    for mode, factors in enumerate(participation):
+        columns[:, 2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2] = _turn(factors)
     return columns
 
 
@@ -420,60 +447,7 @@ def _turn(factor: ComplexArray) -> FloatArray:
     return matrices
 
 
-def _theta_columns(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
-    """Coefficients of all functions per parameter, (n_output, n_input, 4 n_mode, n)."""
-    n_mode, n_input = participation.shape
-    rows, columns = _free(participation)
-    n = 2 * n_mode + 2 * len(rows)
-    values = np.zeros((psi.shape[0], n_input, 4 * n_mode, n))
-    residue = psi[:, None, :] * participation.T[None]
-    for mode in range(n_mode):
-        # d / d Re lambda has the residue R on the squared denominators, d / d Im lambda has j R.
-        at = 2 * n_mode + 2 * mode
-        values[:, :, at : at + 2, 2 * mode : 2 * mode + 2] = _turn(residue[:, :, mode])
-    for number, (mode, column) in enumerate(zip(rows, columns, strict=True)):
-        at = 2 * n_mode + 2 * number
-        values[:, column, 2 * mode : 2 * mode + 2, at : at + 2] = _turn(psi[:, mode])
-    return values
-
-
-def shapes_of(
-    sums: _Sums, participation: ComplexArray, variance: FloatArray, *, real: bool = False
-) -> tuple[ComplexArray, FloatArray]:
-    """Shapes (n_output, n_mode) of least misfit, and the inverse of their normal matrices (n_output, 2
-    n_mode, 2 n_mode).
-
-    *participation* (n_mode, n_input) [1]; *variance* (n_output, n_input) [square of the FRF's unit]; *real*
-    modes: shapes are imaginary, and the inverse is zero for their real parts.
-    """
-    k = 2 * participation.shape[0]
-    chosen = slice(1, None, 2) if real else slice(None)
-    columns = _shape_columns(participation)[:, :, chosen]
-    single = columns.swapaxes(1, 2) @ sums.gram[:k, :k] @ columns
-    normal = np.tensordot(1 / variance, single, 1)
-    right_side = np.sum((sums.data[:k] / variance).transpose(2, 1, 0) @ columns, axis=0)
-    scale = np.sqrt(np.einsum("omm->om", normal))
-    scaled = normal / (scale[:, :, None] * scale[:, None, :])
-    try:
-        inverse = np.linalg.inv(scaled)
-    except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(scaled, rcond=ROUNDING, hermitian=True)
-    whole = np.zeros((normal.shape[0], k, k))
-    whole[:, chosen, chosen] = inverse / (scale[:, :, None] * scale[:, None, :])
-    values = np.zeros((normal.shape[0], k))
-    values[:, chosen] = np.einsum("omn,on->om", whole[:, chosen, chosen], right_side)
-    return values[:, 0::2] + 1j * values[:, 1::2], whole
-
-
 def _coefficients(participation: ComplexArray, psi: ComplexArray) -> FloatArray:
     """Of u, v of every mode: real and imaginary part of the residues in turn."""
     residue = psi[:, None, :] * participation.T[None]
     return np.stack([residue.real, residue.imag], axis=-1).reshape(*residue.shape[:2], -1)
-
-
-def _rss(sums: _Sums, participation: ComplexArray, psi: ComplexArray) -> FloatArray:
-    coefficients = _coefficients(participation, psi)
-    k = coefficients.shape[-1]
-    fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])
-    square = np.sum(coefficients * (coefficients @ sums.gram[:k, :k]), axis=-1)
-    return np.maximum(sums.size - 2 * fitted + square, 1e-15 * sums.size)

@@ -15,10 +15,10 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
 from labpipe.methods.modal.whole_covariance import ModalEstimate
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
 from labpipe.records.identification import Fit
 from labpipe.records.response import Port
@@ -31,7 +31,7 @@ def shape_record(
     references: Sequence[Port],
     forces_move: bool,
     diagram: StabilisationDiagram | None,
-    returns: FloatArray | None = None,
+    returns: FloatArray,
 ) -> Modes:
     """The record of the modes in ascending frequency, every shape 1 at its largest point; *returns* (n_mode,)
     [1] in the order of *refined*.
@@ -40,8 +40,6 @@ def shape_record(
     poles, raw, participation = refined.poles[order], refined.shapes[:, order], refined.participation[order]
     scale = raw[np.argmax(np.abs(raw), axis=0), np.arange(order.size)]
     shapes = raw / scale
-    variance = np.einsum("omm->om", refined.shape_covariance)
-    std = np.sqrt(variance[:, 0::2] + variance[:, 1::2])[:, order]
     of_pole = [function for _, _, function in _of_pole(refined)]
     rows = [[function(np.array([pole.real, pole.imag])) for function in of_pole] for pole in poles]
     frequency, damping = np.array(rows).T
@@ -50,7 +48,7 @@ def shape_record(
         # A loss factor is twice the damping ratio of the same peak.
         damping / 2 if refined.hysteretic else damping,
         shapes=shapes,
-        shape_std_errors=std / np.abs(scale),
+        shape_std_errors=shape_errors(refined)[:, order],
         participation=participation,
         scale=scale,
         points=tuple(port.label for port in points),
@@ -62,8 +60,27 @@ def shape_record(
         lower=terms.lower,
         upper=terms.upper,
         diagram=diagram,
-        returns=None if returns is None else returns[order],
+        returns=returns[order],
     )
+
+
+def shape_errors(refined: Refined) -> FloatArray:
+    """Standard errors (n_output, n_mode) [1] of the complex shapes over their largest point, whose error all
+    points have; that of poles and participation is common to all outputs, the rest is each one's own.
+    """
+    by_poles = refined.crossed @ pseudo_inverse(refined.covariance)
+    own = refined.shape_covariance - by_poles @ refined.crossed.swapaxes(1, 2)
+    alone = np.einsum("omm->om", own)
+    alone = alone[:, 0::2] + alone[:, 1::2]
+    common = by_poles[:, 0::2] + 1j * by_poles[:, 1::2]
+    largest, modes = np.argmax(np.abs(refined.shapes), axis=0), np.arange(refined.poles.size)
+    scale = refined.shapes[largest, modes]
+    ratio = refined.shapes / scale
+    slopes = common - ratio[:, :, None] * common[largest, modes]
+    variance = alone + np.abs(ratio) ** 2 * alone[largest, modes]
+    variance += np.sum((slopes @ refined.covariance) * slopes.conj(), axis=-1).real
+    variance[largest, modes] = 0.0
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / np.abs(scale))
 
 
 def phase_collinearity(shapes: ComplexArray) -> FloatArray:
@@ -194,9 +211,7 @@ def _of_pole(refined: Refined) -> tuple[tuple[str, str, Function], ...]:
 def _pole_and_residue(
     refined: Refined, mode: int, driving: DrivingPoint | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Re, Im of the pole, and of shape and participation at the driving point, (2,) or (6,), with their
-    covariance.
-    """
+    """Re, Im of the pole, and of shape and participation at the driving point, (2,) or (6,)."""
     pole = refined.poles[mode]
     at = [2 * mode, 2 * mode + 1]
     if driving is None:
@@ -295,7 +310,7 @@ def model_errors(
 def _judge(
     measured: Measured, wide: Measured, estimate: ModalEstimate, mode: int, scatter: FloatArray | None
 ) -> tuple[_Band, Fitted, Mixture]:
-    """Band, fit and mixture of a mode; of the lines next to it where its band shows a stronger one."""
+    """Of the lines next to the mode where its band shows a stronger one."""
     pole = complex(estimate.refined.poles[mode])
     f_r, half = abs(pole) / (2 * np.pi), HALF_JUDGED * -2 * pole.real / (2 * np.pi)
     edges = _widen(measured, pole)
@@ -517,8 +532,18 @@ def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
     """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
     Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
     convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so masses, are areas,
-    which a window leaves; c = 2 zeta w_n m follows zeta.
+    which a window leaves; c = 2 zeta w_n m follows zeta. A warning names the modes.
     """
+    if not narrow:
+        return fit
+    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
+    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
+    message = (
+        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
+        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
+        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
+        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
+    )
     left = {
         f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
         for number, width in narrow.items()
@@ -530,4 +555,4 @@ def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
         else parameter
         for parameter in fit.parameters
     )
-    return replace(fit, parameters=parameters)
+    return replace(fit, parameters=parameters, findings=(*fit.findings, Finding("leakage", message)))

@@ -18,7 +18,7 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
 from labpipe.methods.modal.likelihood import Lines, Refined, pole_functions, remaining
-from labpipe.methods.modal.poles import Completed, LineNoise, refine_with_terms, whiteness
+from labpipe.methods.modal.poles import Completed, refine_with_terms, whiteness
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
@@ -148,7 +148,7 @@ def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured
 
 
 def with_moved_modes(
-    lines: Lines, done: Completed, noise: LineNoise, *, moving: bool
+    lines: Lines, done: Completed, correlation: tuple[complex, ...], *, moving: bool
 ) -> tuple[Lines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     """The FRFs with every point moved to the mean pole of its mode, their modes, how these moved, and notes
     on poles that are one; as they are where none does. Modes that may stand *instead* of several poles come
@@ -184,7 +184,7 @@ def with_moved_modes(
     frequency = np.abs(again.poles)
     if not again.converged or frequency.min() < lines.omega[0] or frequency.max() > lines.omega[-1]:
         return plain, done, undecided, ()
-    p_noise = whiteness(remaining(lines, terms, again), noise)
+    p_noise = whiteness(remaining(terms, again), correlation)
     done = replace(done, refined=again, terms=terms, p_noise=p_noise)
     return lines, done, (*moved, *undecided), findings
 

@@ -272,8 +272,7 @@ def _groups(poles: Poles, counted: list[int]) -> IntArray:
             break
         # Of the poles with the most neighbours the one nearest to their median.
         best = np.flatnonzero(count == count.max())
-        middle = np.median(poles.values[best].real) + 1j * np.median(poles.values[best].imag)
-        centre = int(best[np.argmin(np.abs(poles.values[best] - middle))])
+        centre = int(best[np.argmin(np.abs(poles.values[best] - _median(poles.values[best])))])
         group[near[centre] & (group < 0)] = len(centres)
         centres.append(centre)
     # Numbers of the modes in ascending frequency, and -1 for poles of none, which is the last place.
@@ -284,7 +283,7 @@ def _groups(poles: Poles, counted: list[int]) -> IntArray:
 def _least_biased(
     equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]
 ) -> Poles:
-    """By the constraint of least bias: at each high order the nearest pole, then the median."""
+    """At each high order the nearest pole by the constraint of least bias, then the median."""
     n_mode = int(group.max(initial=-1)) + 1
     centre = np.empty(n_mode, np.complex128)
     participation = np.empty((n_mode, equations.n_input), np.complex128)
@@ -313,22 +312,9 @@ LAGS = 8
 AROUND = 31
 
 
-@dataclass(frozen=True)
-class LineNoise:
-    """The noise along the lines: correlation (n,) [1] with the next lines that a window gives it, and 1 + 2
-    sum of their squares.
-    """
-
-    correlation: tuple[complex, ...] = ()
-
-    @property
-    def shared_power(self) -> float:
-        return 1.0 + 2 * sum(abs(value) ** 2 for value in self.correlation)
-
-
-def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
+def whiteness(residual: ComplexArray, correlation: tuple[complex, ...]) -> float:
     """Probability [1] of so much likeness of neighbouring lines in noise: the least p-value of the elements,
-    times their number.
+    times their number. *correlation* (n,) [1]: of the noise with the next lines, which a window gives it.
 
     residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has
     the variance 1 / n_line, so that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of
@@ -338,15 +324,19 @@ def whiteness(residual: ComplexArray, noise: LineNoise) -> float:
     flat = _even(residual.reshape(n_line, -1))
     power = np.sum(np.abs(flat) ** 2, axis=0)
     lags = range(1, min(LAGS, n_line - 1) + 1)
-    expected = [*noise.correlation, *([0.0] * LAGS)]
+    expected = [*correlation, *([0.0] * LAGS)]
     likeness = [np.sum(flat[d:] * flat[:-d].conj(), axis=0) / power - expected[d - 1] for d in lags]
-    statistic = 2 * n_line / noise.shared_power * np.sum(np.abs(likeness) ** 2, axis=0)
+    statistic = 2 * n_line / shared_power(correlation) * np.sum(np.abs(likeness) ** 2, axis=0)
     least = chi2_tail(float(np.max(statistic)), 2 * len(lags))
     return min(1.0, least * statistic.size)
 
 
+def shared_power(correlation: tuple[complex, ...]) -> float:
+    """1 + 2 sum |rho_d|^2 [1] of noise that lines share, *correlation* rho_d (n,) [1]."""
+    return 1.0 + 2 * sum(abs(value) ** 2 for value in correlation)
+
+
 def _even(flat: ComplexArray) -> ComplexArray:
-    """Relative to the root mean square of the AROUND lines about each."""
     kernel = np.ones(min(AROUND, flat.shape[0]))
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
     sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
@@ -369,32 +359,32 @@ def refine_with_terms(
     *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) [1].
     """
     terms = ResidualTerms(lines, 1, 1)
-    best = refine(lines, terms, poles, participation, TRIAL_STEPS)
+    best = refine(terms, poles, participation, TRIAL_STEPS)
     while True:
         sizes = ((terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1))
         trials = [
-            (refine(lines, more, best.poles, best.participation, TRIAL_STEPS), more)
+            (refine(more, best.poles, best.participation, TRIAL_STEPS), more)
             for more in (ResidualTerms(lines, lower, upper) for lower, upper in sizes)
             if more.lower <= MOST_LOWER and more.upper <= MOST_UPPER
             if more.count + 2 * poles.size < lines.omega.size
         ]
         if not trials:
             break
-        refined, more = min(trials, key=lambda trial: criterion(lines, *trial))
-        if criterion(lines, refined, more) >= criterion(lines, best, terms):
+        refined, more = min(trials, key=lambda trial: criterion(*trial))
+        if criterion(refined, more) >= criterion(best, terms):
             break
         best, terms = refined, more
-    return refine(lines, terms, best.poles, best.participation), terms
+    return refine(terms, best.poles, best.participation), terms
 
 
-def criterion(lines: Lines, refined: Refined, terms: ResidualTerms) -> float:
+def criterion(refined: Refined, terms: ResidualTerms) -> float:
     """AIC [1]: a term has a complex factor in every FRF; a mode a pole, a shape, and a participation of which
     one entry is given.
 
     Equation (modal-aic).
     """
-    _, n_output, n_input = lines.matrix.shape
-    n_complex = lines.n_element * terms.count + refined.poles.size * (n_output + n_input)
+    _, n_output, n_input = terms.lines.matrix.shape
+    n_complex = n_output * n_input * terms.count + refined.poles.size * (n_output + n_input)
     return refined.information + 4 * n_complex
 
 
@@ -424,38 +414,33 @@ class Completed:
     added: int = 0
 
 
-def kept_modes(
-    lines: Lines, refined: Refined, terms: ResidualTerms
-) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
+def kept_modes(refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
     """The modes inside the band, not as broad as it, that stand out of the noise, refined again without the
     others; notes name these.
 
     FitError where none stays.
     """
-    frequency = np.abs(refined.poles)
-    inside, narrow, seen = _standing(lines, refined)
+    frequency = np.abs(refined.poles) / (2 * np.pi)
+    inside, narrow, seen = _standing(terms.lines, refined)
     keep = inside & narrow & seen
     if np.all(keep):
         return refined, terms, ()
-    notes = []
-    for chosen, why in (
+    reasons = (
         (~inside, "left the band in the refinement"),
         (inside & ~narrow, "is as broad as the band, which no mode can be told by"),
         (inside & narrow & ~seen, "does not stand out of the noise"),
-    ):
-        if np.any(chosen):
-            places = ", ".join(f"{value / (2 * np.pi):.4g}" for value in frequency[chosen])
-            notes.append(f"modal: the pole at {places} Hz {why}.")
+    )
+    places = [", ".join(f"{value:.4g}" for value in frequency[chosen]) for chosen, _ in reasons]
+    notes = [f"modal: the pole at {at} Hz {why}." for at, (_, why) in zip(places, reasons, strict=True) if at]
     if not np.any(keep):
         what = f"no mode stays in the refinement: {' '.join(notes)}"
         raise FitError(what, hint="widen the band to where the response peaks")
-    again, more = refine_with_terms(lines, refined.poles[keep], refined.participation[keep])
-    again, more, further = kept_modes(lines, again, more)
+    again, more = refine_with_terms(terms.lines, refined.poles[keep], refined.participation[keep])
+    again, more, further = kept_modes(again, more)
     return again, more, (*notes, *further)
 
 
 def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """Modes inside the band, narrower than it, and such that stand out of the noise, (n_mode,) each."""
     frequency, decay = np.abs(refined.poles), -refined.poles.real
     low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)
@@ -470,42 +455,41 @@ def shape_p(refined: Refined) -> FloatArray:
     Equation (modal-seen).
     """
     probabilities = []
-    for mode in range(refined.poles.size):
-        block = slice(2 * mode, 2 * mode + 2)
-        psi = np.stack([refined.shapes[:, mode].real, refined.shapes[:, mode].imag], axis=-1)
+    for mode, shape in enumerate(refined.shapes.T):
+        block, psi = slice(2 * mode, 2 * mode + 2), np.stack([shape.real, shape.imag], axis=-1)
         inverse = np.linalg.pinv(refined.shape_covariance[:, block, block])
-        probabilities.append(chi2_tail(float(np.einsum("oi,oij,oj->", psi, inverse, psi)), 2 * psi.shape[0]))
+        probabilities.append(chi2_tail(float(np.einsum("oi,oij,oj->", psi, inverse, psi)), psi.size))
     return np.array(probabilities)
 
 
 def complete(
-    lines: Lines, refined: Refined, terms: ResidualTerms, noise: LineNoise, *, adding: bool
+    refined: Refined, terms: ResidualTerms, correlation: tuple[complex, ...], *, adding: bool
 ) -> Completed:
     """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports
     them.
 
     They are kept only if the residual then is noise.
     """
-    first = done = Completed(refined, terms, whiteness(remaining(lines, terms, refined), noise))
+    first = done = Completed(refined, terms, whiteness(remaining(terms, refined), correlation))
     while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
-        more = _with_one_more(lines, done, noise)
+        more = _with_one_more(done, correlation)
         if more is None:
             break
         done = more
     return done if done.p_noise >= MISMATCH_P else first
 
 
-def with_real_modes(lines: Lines, done: Completed, noise: LineNoise) -> Completed:
+def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Completed:
     """The same modes with real shapes and participation, and the probability of the residual that they leave
     as noise.
     """
-    refined = refine(lines, done.terms, done.refined.poles, done.refined.participation, real=True)
-    return replace(done, refined=refined, p_noise=whiteness(remaining(lines, done.terms, refined), noise))
+    refined = refine(done.terms, done.refined.poles, done.refined.participation, real=True)
+    return replace(done, refined=refined, p_noise=whiteness(remaining(done.terms, refined), correlation))
 
 
-def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed | None:
-    refined = done.refined
-    residual = remaining(lines, done.terms, refined)
+def _with_one_more(done: Completed, correlation: tuple[complex, ...]) -> Completed | None:
+    lines, refined = done.terms.lines, done.refined
+    residual = remaining(done.terms, refined)
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
     n_wide = round(2 * decay / lines.spacing)
@@ -523,13 +507,13 @@ def _with_one_more(lines: Lines, done: Completed, noise: LineNoise) -> Completed
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = again.converged and _distinct(again) and np.all(_standing(lines, again))
-    if not sound or criterion(lines, again, terms) > criterion(lines, refined, done.terms) - SUPPORT:
+    if not sound or criterion(again, terms) > criterion(refined, done.terms) - SUPPORT:
         return None
     # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
     place, told = 2 * refined.poles.size, by_lines(terms, again)
     if -again.poles.real[-1] < NORMAL * np.sqrt(told.covariance[place, place]):
         return None
-    return Completed(again, terms, whiteness(remaining(lines, terms, again), noise), done.added + 1)
+    return Completed(again, terms, whiteness(remaining(terms, again), correlation), done.added + 1)
 
 
 def _distinct(refined: Refined) -> bool:

@@ -60,7 +60,7 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
 
 
 def _of_repeat(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    """A recording alone is fitted with the modes of all together, so that these keep their numbers."""
+    # A recording alone is fitted with the modes of all together, so that these keep their numbers.
     poles = tuple(p.value for fit in fits for p in fit.parameters if p.name.startswith("f_n_"))
     return replace(settings, model_settings=replace(settings.model_settings, poles=poles))
 

@@ -145,23 +145,17 @@ class ModalReceptance:
         poles, participation, shapes, _ = self.split(parameters)
         (a, b), (a_slope, b_slope) = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)
         slopes = np.zeros((self.free.size // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
-        at = 0
+        place = iter(slopes)
         for mode in range(self.n_mode):
             residue = np.outer(shapes[:, mode], participation[mode])
-            slopes[at] = _pair(a_slope[:, mode], b_slope[:, mode], residue)
-            at += 1
+            next(place)[:] = _pair(a_slope[:, mode], b_slope[:, mode], residue)
         for mode, column in zip(*self._free, strict=True):
-            slopes[at, :, :, :, column] = _pair(a[:, mode], b[:, mode], shapes[:, mode])
-            at += 1
-        for output in range(self.n_output):
-            for mode in range(self.n_mode):
-                slopes[at, :, :, output] = _pair(a[:, mode], b[:, mode], participation[mode])
-                at += 1
-        for output in range(self.n_output):
-            for column in range(self.n_input):
-                for term in self.basis.T:
-                    slopes[at, 0, :, output, column], slopes[at, 1, :, output, column] = term, 1j * term
-                    at += 1
+            next(place)[..., column] = _pair(a[:, mode], b[:, mode], shapes[:, mode])
+        for output, mode in np.ndindex(self.n_output, self.n_mode):
+            next(place)[:, :, output] = _pair(a[:, mode], b[:, mode], participation[mode])
+        for output, column in np.ndindex(self.n_output, self.n_input):
+            for term in self.basis.T:
+                next(place)[:, :, output, column] = term, 1j * term
         return np.asarray(slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free])
 
 

@@ -16,13 +16,15 @@ from labpipe.bearings import kinds
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import (
     DOFS,
+    LOAD_UNITS,
+    LOADS,
+    RADIAL,
     RollingBearing,
     modes,
     sdof_stiffness,
     theoretical_response,
 )
 from labpipe.methods.rolling_bearing.settings import (
-    LOAD_OF_DOF,
     BallBearingSettings,
     RollerBearingSettings,
     RollingSettings,
@@ -35,14 +37,13 @@ POSITIONS = 24
 
 @dataclass(frozen=True)
 class Passage:
-    """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] and displacement (n_position, n_case, 5) [m,
-    rad] over one passage. cage_angle (n_position,) [rad]: equal steps over 2 pi / z without the end point, so
-    that the mean over positions is the mean over time.
+    """Stiffness (n_position, n_case, 5, 5) [N/m, N/rad, N m/rad] over one passage. cage_angle (n_position,)
+    [rad]: equal steps over 2 pi / z without the end point, so that the mean over positions is the mean over
+    time.
     """
 
     cage_angle: FloatArray
     stiffness: FloatArray
-    displacement: FloatArray
 
     @cached_property
     def lowest(self) -> FloatArray:
@@ -72,16 +73,10 @@ def ball_passage(
         np.tile(np.broadcast_to(values, (n_case, values.shape[-1])), (positions, 1)) for values in (f, q)
     ]
     state = equilibrium(bearing, cases[0], cases[1], fixed_dofs, np.repeat(angles, n_case))
-    n = len(DOFS)
-    return Passage(
-        angles,
-        state.stiffness.reshape(positions, n_case, n, n),
-        state.displacement.reshape(positions, n_case, n),
-    )
+    return Passage(angles, state.stiffness.reshape(positions, n_case, len(DOFS), len(DOFS)))
 
 
 UNITS = ("m", "m", "m", "rad", "rad")
-LOAD_UNITS = ("N", "N", "N", "N.m", "N.m")
 
 
 def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[kinds.BearingCoefficients]:
@@ -97,9 +92,7 @@ def rolling_coefficients(settings: Sequence[RollingSettings]) -> list[kinds.Bear
 def _group(
     bearing: RollingBearing, fixed_dofs: tuple[str, ...], settings: Sequence[RollingSettings]
 ) -> list[kinds.BearingCoefficients]:
-    loads = np.array(
-        [[getattr(entry.loads, load) or 0.0 for load in LOAD_OF_DOF.values()] for entry in settings]
-    )
+    loads = np.array([[getattr(entry.loads, load) or 0.0 for load in LOADS] for entry in settings])
     moves = np.array([[getattr(entry.displacements, dof) or 0.0 for dof in DOFS] for entry in settings])
     state = equilibrium(bearing, loads, moves, fixed_dofs, np.array([entry.cage_angle for entry in settings]))
     passage = ball_passage(bearing, loads, moves, fixed_dofs)
@@ -117,7 +110,7 @@ def _case(
 ) -> kinds.BearingCoefficients:
     k, at = state.stiffness[case], state.contacts
     rest = _amounts(DOFS, state.displacement[case], UNITS)
-    rest += _amounts([f"load_{name}" for name in LOAD_OF_DOF.values()], state.load[case], LOAD_UNITS)
+    rest += _amounts([f"load_{name}" for name in LOADS], state.load[case], LOAD_UNITS)
     loaded = int(np.sum(at.load[case] > 0))
     warnings = []
     if state.mirrored[case]:
@@ -143,8 +136,9 @@ def _case(
             "element_deflection": at.deflection[case],
             "contact_angle": state.contact_angle[case],
         },
-        lowest=passage.lowest[case],
-        highest=passage.highest[case],
+        # The cage angle of the file need not be one of the positions.
+        lowest=np.minimum(passage.lowest[case], k),
+        highest=np.maximum(passage.highest[case], k),
         notes=_notes(settings),
         shaft=_shaft(settings, k),
         findings=tuple(warnings),
@@ -204,7 +198,7 @@ class RollingOnRotor:
 def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> kinds.BearingCoefficients:
     (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
     free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.fixed_dofs)]
-    k, a = whole.stiffness, [DOFS.index("x"), DOFS.index("y")]
+    k, a = whole.stiffness, list(RADIAL)
     coupling = (
         np.linalg.lstsq(k[np.ix_(free, free)], k[np.ix_(free, a)], rcond=None)[0]
         if free
@@ -217,11 +211,14 @@ def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> kinds.
 
 
 def _mount(settings: RollingSettings) -> kinds.Bearing:
-    for load in ("x", "y"):
-        if getattr(settings.loads, load) is not None:
-            raise kinds.not_on_rotor(f"loads.{load}")
-        if getattr(settings.displacements, load) is not None:
-            raise kinds.not_on_rotor(f"displacements.{load}")
+    for section, direction in (
+        ("loads", "x"),
+        ("displacements", "x"),
+        ("loads", "y"),
+        ("displacements", "y"),
+    ):
+        if getattr(getattr(settings, section), direction) is not None:
+            raise kinds.not_on_rotor(f"{section}.{direction}")
     if settings.shaft is not None:
         raise kinds.not_on_rotor("shaft")
     return RollingOnRotor(settings)

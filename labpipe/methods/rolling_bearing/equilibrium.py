@@ -20,6 +20,8 @@ from labpipe.arrays import BoolArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.rolling_bearing.loads import (
     DOFS,
+    LOAD_UNITS,
+    LOADS,
     Contacts,
     ElementFrame,
     RollingBearing,
@@ -27,43 +29,12 @@ from labpipe.methods.rolling_bearing.loads import (
     load_sum,
     stiffness_sum,
 )
-from labpipe.registry import nearest
-
-LOADS = ("x", "y", "z", "mx", "my")
-UNITS = ("N", "N", "N", "N m", "N m")
-
-
-def check_request(
-    bearing: RollingBearing,
-    loads: FloatArray,
-    displacements: FloatArray,
-    fixed_dofs: Sequence[str],
-    cage_angle: FloatArray,
-) -> None:
-    """ConfigError for an ill-posed request: wrong shapes, missing numbers, dofs without support by rollers.
-
-    loads (n_case, 5) [N, N m], displacements (n_case, 5) [m, rad], cage_angle scalar or (n_case,) [rad].
-    """
-    for name in fixed_dofs:
-        if name not in DOFS:
-            raise ConfigError(f"no displacement '{name}'", hint=nearest(name, DOFS))
-    widths = loads.shape[-1], displacements.shape[-1]
-    if widths != (len(DOFS), len(DOFS)):
-        what = f"a load case has {len(DOFS)} loads and displacements, found {widths[0]} and {widths[1]}"
-        raise ConfigError(what)
-    sizes = len(loads), len(displacements), cage_angle.size
-    if cage_angle.ndim > 1 or len({*sizes} - {1}) > 1:
-        numbers = f"{sizes[0]} load cases, {sizes[1]} of displacements and {sizes[2]} cage angles"
-        raise ConfigError(f"{numbers} do not go together", hint="one, or as many as load cases")
-    for what, values in (("load", loads), ("displacement", displacements), ("cage angle", cage_angle)):
-        if not np.all(np.isfinite(values)):
-            raise ConfigError(f"a {what} is not a finite number")
-    if not bearing.is_ball:
-        _check_rollers(bearing, loads, fixed_dofs)
 
 
 def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Sequence[str]) -> None:
-    """Rollers at a fixed contact angle resist three motions (two at 0 deg): the other dofs must be fixed."""
+    """ConfigError for dofs without support: rollers at a fixed contact angle resist three motions, at 0 deg
+    two.
+    """
     loose = [name for name in ("bx", "by") if name not in fixed_dofs]
     if loose:
         what = f"rollers at a fixed contact angle leave the tilt {loose[0]} without support"
@@ -94,7 +65,7 @@ def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> No
     """Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]."""
     acting = ", ".join(
         f"{name} {amount:.4g} {unit}"
-        for name, amount, unit in zip(LOADS, loads[case], UNITS, strict=True)
+        for name, amount, unit in zip(LOADS, loads[case], LOAD_UNITS, strict=True)
         if amount
     )
     what = f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}"
@@ -111,9 +82,8 @@ ACCEPTABLE = 1e-9  # where steps are down to the rounding of positions
 ROUNDING = 4 * np.finfo(np.float64).eps
 # Deflection over the longest step that counts as zero: an unloaded bearing is in equilibrium as well.
 NEGLIGIBLE = 1e-6
-MAX_ITERATIONS = (
-    1000  # a dozen as a rule; changing to the opposite contact angle takes hundreds of short steps
-)
+# A dozen as a rule; changing to the opposite contact angle takes hundreds of short steps.
+MAX_ITERATIONS = 1000
 MAX_CUTS = 40
 # Largest displacement of an equilibrium over the pitch radius.
 REACH = 0.2
@@ -211,19 +181,15 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
-    open_cases = np.arange(len(step))
     for _ in range(MAX_CUTS):
-        is_open = np.isin(np.arange(len(step)), open_cases)
-        part = problem if is_open.all() else problem.of_cases(is_open)
-        t, p, fall = length[open_cases], step[open_cases], descent[open_cases]
-        there = part.at(trial.u[open_cases] + t[:, None] * p)
-        rise = -np.einsum("nf,nf->n", there.residual, p[:, problem.free])
-        fallen = there.potential <= trial.potential[open_cases] - 1e-4 * t * fall
-        short = ~(fallen | (rise <= 0.1 * fall))
+        there = problem.at(trial.u + length[:, None] * step)
+        rise = -np.einsum("nf,nf->n", there.residual, step[:, problem.free])
+        fallen = there.potential <= trial.potential - 1e-4 * length * descent
+        short = ~(fallen | (rise <= 0.1 * descent))
         if not short.any():
             break
-        length[open_cases[short]] = (t * np.clip(fall / np.maximum(fall + rise, fall), 0.1, 0.7))[short]
-        open_cases = open_cases[short]
+        cut = np.clip(descent / np.maximum(descent + rise, descent), 0.1, 0.7)
+        length = np.where(short, length * cut, length)
     return trial.u + length[:, None] * step
 
 
@@ -326,7 +292,8 @@ def equilibrium(
     """
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     cage = np.asarray(cage_angle, np.float64)
-    check_request(bearing, f, q, fixed_dofs, cage)
+    if not bearing.is_ball:
+        _check_rollers(bearing, f, fixed_dofs)
     n_case = max(len(f), len(q), cage.size)
     if np.all(cage == cage.flat[0]):
         cage = cage.reshape(-1)[0]  # one frame for all cases

@@ -15,7 +15,6 @@ M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +24,7 @@ from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.records.response import FrequencyResponse, Port
 
 DOFS = ("x", "y", "z", "bx", "by")
+LOADS, LOAD_UNITS = ("x", "y", "z", "mx", "my"), ("N", "N", "N", "N.m", "N.m")
 BALL_EXPONENT, ROLLER_EXPONENT = 3 / 2, 10 / 9
 # With two elements one radial direction has no stiffness.
 MIN_ELEMENTS = 3
@@ -108,20 +108,6 @@ class ElementFrame:
         axial = np.stack([zero, zero, zero + 1, lever * sin, -lever * cos], -1)
         return cls(np.stack([cos, sin, zero, zero, zero], -1), axial)
 
-    @cached_property
-    def squares(self) -> FloatArray:
-        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]. For a frame common
-        to all load cases.
-        """
-        r, a = self.radial, self.axial
-        mixed = r[:, :, None] * a[:, None, :]
-        pairs = (
-            r[:, :, None] * r[:, None, :],
-            mixed + np.swapaxes(mixed, 1, 2),
-            a[:, :, None] * a[:, None, :],
-        )
-        return np.concatenate(pairs).reshape(-1, 25)
-
     def of_cases(self, cases: BoolArray | slice) -> ElementFrame:
         """The frame of the load cases *cases* (n_case,)."""
         return self if self.radial.ndim == 2 else ElementFrame(self.radial[cases], self.axial[cases])
@@ -129,14 +115,10 @@ class ElementFrame:
 
 def weighted_sum(weights: FloatArray, vectors: FloatArray) -> FloatArray:
     """sum_j w_j v_j, (n_case, k) [unit of w v]: *weights* (n_case, m), *vectors* (m, k) or (n_case, m, k)."""
-    if vectors.ndim == 2:
-        return weights @ vectors
     return (weights[:, None, :] @ vectors)[:, 0]
 
 
 def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
-    if vectors.ndim == 2:
-        return q @ vectors.T
     return (vectors @ q[:, :, None])[:, :, 0]
 
 
@@ -194,17 +176,9 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
 
     n = cos a e_r + sin a e_z, t = cos a e_z - sin a e_r. Equation (roll-stiffness).
     """
-    if frame.radial.ndim == 3:
-        along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
-        across = at.cos[..., None] * frame.axial - at.sin[..., None] * frame.radial
-        return _square(along, at.slope) + _square(across, at.turning)
-    weights = (
-        at.slope * at.cos**2 + at.turning * at.sin**2,
-        (at.slope - at.turning) * at.sin * at.cos,
-        at.slope * at.sin**2 + at.turning * at.cos**2,
-    )
-    # The same sum as one matrix product, since all load cases have the same e_r and e_z.
-    return (np.concatenate(weights, axis=1) @ frame.squares).reshape(-1, 5, 5)
+    along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
+    across = at.cos[..., None] * frame.axial - at.sin[..., None] * frame.radial
+    return _square(along, at.slope) + _square(across, at.turning)
 
 
 def _square(vectors: FloatArray, weights: FloatArray) -> FloatArray:
@@ -263,29 +237,15 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     return Modes(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2)
 
 
-def transfer_matrix(
-    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float
-) -> ComplexArray:
-    """Receptance H(w) = (-w^2 M + j w beta K + K)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)];
-    *frequency* [Hz], *beta* [s].
-
-    *stiffness* (5, 5) [N/m, N/rad, N m/rad]. FitError where the dynamic stiffness is singular: at 0 Hz with a
-    dof without stiffness, or on an undamped resonance. Equation (roll-transfer).
-    """
-    return bent_transfer_matrix(shaft, stiffness, frequency, beta, np.inf)
-
-
 def theoretical_response(
-    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, name: str = "theory"
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float
 ) -> FrequencyResponse:
-    """The transfer matrix as a frequency response, for comparison with a measured one or for a fit.
-
-    *stiffness* (5, 5) [N/m, N/rad, N m/rad], *frequency* (n_frequency,) [Hz], *beta* [s]. Raises as
-    transfer_matrix does.
+    """The transfer_matrix of a rigid shaft as a frequency response; *stiffness* (5, 5) [N/m, N/rad, N m/rad],
+    *frequency* (n_frequency,) [Hz], *beta* [s].
     """
     ports = tuple(Port(dof, dof, dof) for dof in DOFS)
     matrix = transfer_matrix(shaft, stiffness, frequency, beta)
-    return FrequencyResponse(frequency, matrix, ports, ports, form="receptance", name=name)
+    return FrequencyResponse(frequency, matrix, ports, ports, form="receptance", name="theory")
 
 
 def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray) -> FloatArray:
@@ -323,13 +283,15 @@ def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     )
 
 
-def bent_transfer_matrix(
-    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float
+def transfer_matrix(
+    shaft: RigidShaft, stiffness: FloatArray, frequency: FloatArray, beta: float, bending: float = np.inf
 ) -> ComplexArray:
-    """Receptance H(w) = (-w^2 M + K_total(w))^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)].
+    """Receptance H(w) = (K_total(w) - w^2 M)^-1, (n_frequency, 5, 5) [m/N, rad/N, rad/(N m)].
 
-    The bearing's (1 + j w beta) K, *beta* [s], in series with the bending shaft [N/m], which has no losses;
-    *frequency* [Hz]. FitError where the dynamic stiffness is singular.
+    K_total: (1 + j w beta) K of the bearing, *stiffness* (5, 5) [N/m, N/rad, N m/rad], *beta* [s], in series
+    with the *bending* shaft [N/m], which has no losses; *frequency* [Hz]. FitError where the dynamic
+    stiffness is singular: at 0 Hz with a dof without stiffness, or on an undamped resonance. Equation
+    (roll-transfer).
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)

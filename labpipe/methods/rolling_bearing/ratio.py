@@ -19,7 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import VISCOUS, FitSettings
-from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, bent_transfer_matrix
+from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, transfer_matrix
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
 from labpipe.records.finding import NORMAL, Parameter
@@ -53,16 +53,21 @@ LOOPS = 20
 LARGEST_MOVE = 1.0
 
 
+Loaded = tuple[FloatArray, RigidShaft]
+
+
 @dataclass(frozen=True)
 class TheoryAt:
     """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share
-    *step*, and the shaft.
+    *step*, and the shaft. ends: by source, K and shaft with an uncertain number of the bearing file one
+    standard uncertainty above and below its value.
     """
 
     stiffness: FloatArray
     near: FloatArray
     step: float
     shaft: RigidShaft
+    ends: tuple[tuple[str, Loaded, Loaded], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,8 @@ class Matched:
     """The factor on the theory's K at which its curve gives the measured fit: ln ratio and ln beta (2,) [1]
     with covariance (2, 2).
 
-    *to_sources*: change (2,) [1] of both by one standard uncertainty of each source of the fit's budget.
+    *to_sources*: change (2,) [1] of both by one standard uncertainty of each source of the fit's budget and
+    of the bearing file.
     *to_bending*, *to_condition* (2,) [1]: change of both per relative change of the shaft's stiffness and of
     the condition. *theory*: (k, c) of the fit of the theory's curve, with the measured damping.
     """
@@ -113,26 +119,30 @@ def match(
     curve = _curve(fit, response, settings, rig)
     bending = rig.bending.value
 
-    def fitted(log: FloatArray, stiffness: FloatArray, shaft_stiffness: float) -> FloatArray:
-        beta = float(np.exp(log[1]))
-        scaled = float(np.exp(log[0])) * stiffness
-        matrix = _theory_curve(curve, theory.shaft, scaled, beta, shaft_stiffness)[:, None, None]
+    def fitted(
+        log: FloatArray, stiffness: FloatArray, bends: float = bending, shaft: RigidShaft = theory.shaft
+    ) -> FloatArray:
+        ratio, beta = (float(value) for value in np.exp(log))
+        matrix = _theory_curve(curve, shaft, ratio * stiffness, beta, bends)[:, None, None]
         (fit,) = identify(replace(curve.response, matrix=matrix), curve.settings, judging=False)
         return _logarithms(fit)
 
     measured = _logarithms(fit)
     start = np.array([0.0, measured[1] - measured[0]])
-    log, slopes = _solve(lambda u: fitted(u, theory.stiffness, bending), measured, start)
+    log, slopes = _solve(lambda u: fitted(u, theory.stiffness), measured, start)
     inverse = np.linalg.inv(slopes)
-    solution = fitted(log, theory.stiffness, bending)
+    solution = fitted(log, theory.stiffness)
     to_bending = np.zeros(2)
     if np.isfinite(bending):
         to_bending = (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
-    to_condition = (fitted(log, theory.near, bending) - solution) / theory.step
-    theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness, bending))
+    to_condition = (fitted(log, theory.near) - solution) / theory.step
+    theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness))
     covariance = inverse @ log_covariance(fit) @ inverse.T
     sources = () if fit.budget is None else fit.budget.sources
     to_sources = {of.source: inverse @ _log_change(fit, of.source) for of in sources}
+    for source, *ends in theory.ends:
+        high, low = (fitted(log, stiffness, shaft=shaft) for stiffness, shaft in ends)
+        to_sources[source] = to_sources.get(source, 0.0) - inverse @ (high - low) / 2
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
@@ -154,14 +164,13 @@ def _solve(
 
 
 def _coefficient(fit: Fit, name: str) -> Parameter:
-    coefficient = next((parameter for parameter in fit.parameters if parameter.name == name), None)
-    if coefficient is None:
-        raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
-    return coefficient
+    for parameter in fit.parameters:
+        if parameter.name == name:
+            return parameter
+    raise FitError(f"{name} of test {fit.test} is missing", hint="fit it without `eliminate`")
 
 
 def _logarithms(fit: Fit) -> FloatArray:
-    """ln k and ln c, (2,)."""
     values = [_coefficient(fit, name).value for name in COEFFICIENTS]
     for name, value in zip(COEFFICIENTS, values, strict=True):
         if not value > 0:
@@ -211,10 +220,8 @@ def _theory_curve(
     curve: _Curve, shaft: RigidShaft, stiffness: FloatArray, beta: float, bending: float
 ) -> ComplexArray:
     frequency = curve.response.frequency
-    receptance = (
-        bent_transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place] * curve.arms
-    )
-    return receptance * receptance_factor(curve.response.form, frequency)
+    receptance = transfer_matrix(shaft, stiffness, frequency, beta, bending)[:, *curve.place]
+    return receptance * curve.arms * receptance_factor(curve.response.form, frequency)
 
 
 def _curve(
@@ -230,22 +237,17 @@ def _curve(
         raise ConfigError(f"fit '{fit.name}' is corrected for support or share", hint=hint)
     row = [port.label for port in response.outputs].index(fit.curve.outputs[0])
     column = [port.label for port in response.inputs].index(fit.curve.inputs[0])
-    lines = np.ones(response.n_frequency, bool) if whole else lines_in(response.frequency, fit.band_hz)
-    element = row * len(response.inputs) + column
-    covariance = (
-        None
-        if response.covariance is None
-        else response.covariance[lines][:, element, None][:, :, element, None]
-    )
+    lines = lines_in(response.frequency, None if whole else fit.band_hz)
+    element, covariance = [row * len(response.inputs) + column], response.covariance
     part = FrequencyResponse(
         response.frequency[lines],
-        response.matrix[lines][:, row, None][:, :, column, None],
+        response.matrix[lines][:, [row]][:, :, [column]],
         # Fits of the theory's curve give values alone: no uncertainty of a sensor need be propagated in each
         # of them.
         (replace(response.outputs[row], uncertainties=()),),
         (replace(response.inputs[column], uncertainties=()),),
         form=response.form,
-        covariance=covariance,
+        covariance=None if covariance is None else covariance[lines][:, element][:, :, element],
         averages=response.averages,
         covariance_dof=response.covariance_dof,
     )
@@ -316,8 +318,8 @@ def joint_covariance(
     """Covariance (n, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1).
 
     V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T + sum c c^T, b = d ln / d ln k_s  s_ks: noise and the
-    setting of the condition are independent between tests, the errors of the shaft's stiffness and of sensors
-    (c) are common to all that have them. Equation (comp-joint).
+    setting of the condition are independent between tests, the errors of the shaft's stiffness, of sensors
+    and of the bearing file's numbers (c) are common to all that have them. Equation (comp-joint).
     """
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
@@ -329,12 +331,12 @@ def joint_covariance(
 
 
 def _one_factor(mean: WeightedFit) -> str:
-    if mean.inflated:
-        return (
-            f" One factor does not hold for all tests (p = {mean.p_value:.2g}); the interval is widened by "
-            "their scatter."
-        )
-    return "" if mean.p_value is None else f" One factor holds for all tests (p = {mean.p_value:.2g})."
+    if mean.p_value is None:
+        return ""
+    if not mean.inflated:
+        return f" One factor holds for all tests (p = {mean.p_value:.2g})."
+    what = f"One factor does not hold for all tests (p = {mean.p_value:.2g})"
+    return f" {what}; the interval is widened by their scatter."
 
 
 def _points(campaign: Campaign, matched: Sequence[Matched], errors: FloatArray) -> tuple[ComparedPoint, ...]:
@@ -379,7 +381,6 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
 
 
 def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
-    """ln(c / k) and its covariance (n, n), by each fit and by what the fits have in common."""
     logs = np.array([_logarithms(fit) @ BETA for fit in fits])
     variances = np.diag([BETA @ log_covariance(fit) @ BETA for fit in fits])
     common = common_changes(fits, lambda fit, source: float(_log_change(fit, source) @ BETA))
@@ -398,18 +399,24 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
     without a shaft on it.
     """
     file = open_bearing(folder / settings.bearing)
+    # That of the condition is `setting_error`.
+    uncertain = {key: number for key, number in file.uncertainties.items() if key not in settings.entry}
 
     def at(conditions: Sequence[tuple[float, str]]) -> TheoryAt:
         # The error of setting is that of the first condition.
         raised = [(conditions[0][0] * (1 + CONDITION_STEP), conditions[0][1]), *conditions[1:]]
-        low, high = (file.settings_at(settings.entry, pairs) for pairs in (conditions, raised))
-        here, near = file.coefficients([low, high])
+        high, low = (file.settings_at(settings.entry, pairs) for pairs in (raised, conditions))
+        moved = [end for key in uncertain for end in file.ends(key)]
+        here, near, *others = file.coefficients([low, high, *moved])
         shaft = getattr(low, "shaft", None)
         if here.dofs != DOFS or shaft is None:
             hint = "a ball or roller bearing with shaft: {mass, inertia_x} is needed"
             what = "the bearing file has no shaft on a bearing of five dofs"
             raise ConfigError(what, file.path, hint)
-        return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body)
+        loaded = [(k.stiffness, end.shaft.body) for k, end in zip(others, moved, strict=True)]
+        sources = [number.source or key for key, number in uncertain.items()]
+        ends = tuple(zip(sources, loaded[::2], loaded[1::2], strict=True))
+        return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body, ends)
 
     return at
 

@@ -16,7 +16,7 @@ import scipy
 from scipy import special
 
 from labpipe.errors import ConfigError, SettingError
-from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing
+from labpipe.methods.rolling_bearing.loads import DOFS, LOADS, RigidShaft, RollingBearing
 from labpipe.records.settings import Settings, quantity, setting
 
 
@@ -155,7 +155,7 @@ def in_series(constants: tuple[float, ...], exponent: float) -> float:
 
 
 BALL, ROLLER = "ball-bearing", "roller-bearing"
-LOAD_OF_DOF = {"x": "x", "y": "y", "z": "z", "bx": "mx", "by": "my"}
+LOAD_OF_DOF = dict(zip(DOFS, LOADS, strict=True))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.bearing import rolling_coefficients
-from labpipe.methods.rolling_bearing.loads import DOFS, bent_transfer_matrix
+from labpipe.methods.rolling_bearing.loads import DOFS, transfer_matrix
 from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
@@ -50,6 +50,12 @@ class TestedBearing(Settings):
         self.require_not_negative("preloads")
         if self.bearing.shaft is None:
             raise ConfigError("bearing.shaft: is missing", hint="the rig needs the shaft's mass and inertia")
+        for given, name, of in (
+            (self.bearing.loads.z is not None, "loads.z", "preloads"),
+            (self.bearing.damping_factor > 0, "damping_factor", "its own damping_factor"),
+        ):
+            if given:
+                raise SettingError("bearing", f"bearing.{name}: the rig sets it by {of}", "leave it out")
         self.require_positive("bending_stiffness")
         if len({f"{preload:g}" for preload in self.preloads}) < max(len(self.preloads), 1):
             raise SettingError("preloads", "'preloads' names none, or one twice", "[427 N, 701 N]")
@@ -188,14 +194,13 @@ def lever(rig: VirtualBallBearingRig) -> FloatArray:
 
 
 def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) -> virtual_rigs.SimulatedRun:
-    """Accelerations x, z and by (at the arm) under the multisine of one shaker, in the steady state."""
     rng, sampling, shaft = virtual_rigs.generator(seed, name), rig.sampling, test.tested.bearing.shaft
     assert shaft is not None
     preload = true_preload(rig, test, seed)
     stiffness = true_stiffness(rig, test, preload)
     force = design_multisine(sampling.band, sampling.spacing, sampling.force)
     omega = line_frequencies(force)
-    receptance = bent_transfer_matrix(
+    receptance = transfer_matrix(
         shaft.body, stiffness, omega / (2 * np.pi), rig.damping_factor, test.tested.bending_stiffness
     )
     column = DOFS.index(test.force)
@@ -209,13 +214,9 @@ def _shaken(rig: VirtualBallBearingRig, test: ShakerTest, name: str, seed: int) 
         )
     noise = [rig.noise.force, *[rig.noise.acceleration] * len(FORCES)]
     recording = sense(name, _channels(test.force), samples, noise, sampling.rate, rng)
-    truth = {
-        "preload_set": test.preload,
-        "preload": preload,
-        "ratio": rig.stiffness_ratio,
-        "stiffness": stiffness.tolist(),
-    }
-    return virtual_rigs.SimulatedRun(name, {**truth, "beta": rig.damping_factor}, recording)
+    truth = {"preload_set": test.preload, "preload": preload, "ratio": rig.stiffness_ratio}
+    truth |= {"stiffness": stiffness.tolist(), "beta": rig.damping_factor}
+    return virtual_rigs.SimulatedRun(name, truth, recording)
 
 
 def _channels(force: str) -> tuple[Channel, ...]:
@@ -226,16 +227,13 @@ def _channels(force: str) -> tuple[Channel, ...]:
 def _calibration(rig: VirtualBallBearingRig, name: str, seed: int) -> virtual_rigs.SimulatedRun:
     rng = virtual_rigs.generator(seed, name)
     force = np.linspace(150.0, 1800.0, CALIBRATION_POINTS)
-    if name == "string":
-        frequency = np.sqrt(force / rig.string_factor)
-        table = {
-            "frequency [Hz]": frequency,
-            "force [N]": force + rng.normal(0.0, rig.noise.string, force.size),
-        }
-        return virtual_rigs.SimulatedRun(name, {"a": rig.string_factor}, table=table)
-    voltage = (force - rig.strip_offset) / rig.strip_factor
-    table = {"strip [V]": voltage, "force [N]": force + rng.normal(0.0, rig.noise.strip, force.size)}
-    return virtual_rigs.SimulatedRun(name, {"b": rig.strip_factor, "c": rig.strip_offset}, table=table)
+    title, read, noise = "frequency [Hz]", np.sqrt(force / rig.string_factor), rig.noise.string
+    truth = {"a": rig.string_factor}
+    if name == "strip":
+        title, read, noise = "strip [V]", (force - rig.strip_offset) / rig.strip_factor, rig.noise.strip
+        truth = {"b": rig.strip_factor, "c": rig.strip_offset}
+    table = {title: read, "force [N]": force + rng.normal(0.0, noise, force.size)}
+    return virtual_rigs.SimulatedRun(name, truth, table=table)
 
 
 def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> virtual_rigs.Truth:

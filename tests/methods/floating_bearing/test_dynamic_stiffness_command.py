@@ -136,6 +136,7 @@ def test_effective_forces_as_derived_channels_give_the_same(recorded: Path, tmp_
             "wrong.yaml: identify.seal: baseline: no earlier fit 'hose' of model dynamic-stiffness",
         ),
         ("compare: true", "form: kcc", "unknown choice 'kcc'; did you mean 'kc'?"),
+        ("baseline: hoses,", "baseline: hoses, test: dry,", "no test is left for it"),
         ("stator_mass: 60 kg +- 0.6 kg}\nreport", "stator_mass: 60 mm}\nreport", "stator_mass"),
     ],
 )

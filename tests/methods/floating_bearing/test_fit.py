@@ -180,6 +180,12 @@ def test_a_measured_baseline_brings_its_noise_and_the_common_mass_cancels() -> N
 
 
 @pytest.mark.long
+def test_a_mass_of_zero_may_be_uncertain() -> None:
+    """Closed form: an error of the mass of 1 kg is one of m_xx on the absolute motion."""
+    fit = fitted(drawn(RIG.dry()), motion="absolute", stator_mass="0 kg +- 1 kg")
+    assert fit.parameter("m_xx").systematic == pytest.approx(1.0, rel=1e-6)
+
+
 def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
     """Hoses with a mass of 5 kg fitted as K and C: the uncertainty that they bring is that of their widened
     intervals.

@@ -216,6 +216,7 @@ def test_the_truth_names_the_printed_coefficients() -> None:
         ({"conditions": ()}, "are missing"),
         ({"band": (10.0, 600.0)}, "half the sampling rate"),
         ({"spacing": 0.7}, "no whole number"),
+        ({"conditions": (("a", {"speed": 600.0}),)}, "at 600 Hz, beyond half"),
         ({"conditions": (("a", {"film": "journal", "speed": 10.0, "load": 10.0}),)}, "no `journal`"),
     ],
 )

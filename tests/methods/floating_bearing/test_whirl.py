@@ -237,6 +237,10 @@ def test_coefficients_without_dimension() -> None:
     one, other = (each.parameter("k_xx_dimensionless") for each in (against, by_condition))
     assert one.value == pytest.approx(other.value) and one.ci95 == pytest.approx(other.ci95)
     assert not any("without dimension" in note for note in by_condition.notes)
+    vague = fitted(
+        drawn(replace(rig, conditions={"speed": "3000 rpm", "load": "1 kN +- 10 %"})), **GIVEN, clearance=1e-4
+    )
+    assert any("without the uncertainty of the condition load: 1 kN +- 10 %." in n for n in vague.notes)
     idle = fitted(drawn(), **GIVEN, clearance=1e-4, rotor_mass="90 kg", symmetry="direct")
     assert sum("no coefficients without dimension" in n or "no onset speed" in n for n in idle.notes) == 2
     with pytest.raises(ConfigError, match=r"conditions\.speed"):

@@ -261,6 +261,9 @@ def test_result_is_read_back_and_reported() -> None:
     moved = replace(fit.parameters[first], value=1.01 * fit.parameters[first].value)
     stated = replace(fit, parameters=(*fit.parameters[:first], moved, *fit.parameters[first + 1 :]))
     assert float(modes_table(stated, modes).rows[0][1]) == pytest.approx(moved.value, rel=1e-5)
+    # Of a loss factor eta = 2 zeta as well.
+    of_loss = replace(stated, parameters=(replace(moved, name="eta_1", value=0.05),))
+    assert float(modes_table(of_loss, modes).rows[0][2]) == pytest.approx(2.5)
 
 
 def test_every_detail_has_the_key_of_its_place_in_a_result_and_none_is_lost() -> None:
@@ -363,7 +366,7 @@ def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
     lines = Lines(w, response.matrix + smooth, 0, np.ones(w.size))
     poles = 2 * np.pi * np.array([*(-0.01 + 1j) * BEAM_FREQUENCIES, 120.0 * (-0.5 + 0.75**0.5 * 1j)])
     refined, terms = refine_with_terms(lines, poles, np.ones((4, 1), complex))
-    kept, _, notes = kept_modes(lines, refined, terms)
+    kept, _, notes = kept_modes(refined, terms)
     assert np.sort(np.abs(kept.poles)) / (2 * np.pi) == pytest.approx(BEAM_FREQUENCIES, rel=1e-3)
     # Only this one is named, and for this alone.
     (note,) = notes
@@ -504,3 +507,30 @@ def test_what_a_fit_of_modes_warns_of(estimate, p_noise: float, said: dict[str, 
     found = {finding.code: finding.message for finding in modal_findings(estimate, p_noise, {})}
     assert found.keys() == said.keys() and all(text in found[code] for code, text in said.items())
     assert mismatch(estimate) == (2.0 if estimate.chi2_reduced == 4.0 else None)
+
+
+def test_the_error_of_a_shape_is_that_of_the_quotient_of_two_points() -> None:
+    """Two points of one motion: the pole's error is common to both, so the quotient has sqrt(2) times the
+    error of one amplitude by linear least squares at the known pole, beside the fit's residual terms.
+    """
+    frequency, std = np.linspace(20.0, 40.0, 161), 1e-7
+    s = 2j * np.pi * frequency
+    pole = 2 * np.pi * 30.0 * (-0.01 + 1j * np.sqrt(1 - 0.01**2))
+    a, b = 1 / (s - pole), 1 / (s - np.conj(pole))
+    residue = 1 / (2j * pole.imag)
+    clean = (residue * a + np.conj(residue) * b)[:, None, None] * np.ones((2, 1))
+    rng = np.random.default_rng(4)
+    noise = std * (rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape))
+    ports = (Port("1", "1", "1"), Port("2", "2", "2"))
+    response = FrequencyResponse(
+        frequency, clean + noise, ports, ports[:1], covariance=uncorrelated(np.full(clean.shape, 2 * std**2))
+    )
+    modes = modal(response).detail(Modes)
+    powers = [-2 * n for n in range(1, modes.lower + 1)] + [2 * n for n in range(modes.upper)]
+    terms = [(frequency / 30.0) ** power + 0j for power in powers]
+    columns = np.stack([a + b, 1j * (a - b), *terms, *(1j * term for term in terms)], axis=1)
+    rows = np.concatenate([columns.real, columns.imag])
+    amplitude = std * np.sqrt(np.trace(np.linalg.inv(rows.T @ rows)[:2, :2]))
+    np.testing.assert_allclose(
+        np.sort(modes.shape_std_errors[:, 0]), [0.0, np.sqrt(2) * amplitude / abs(residue)], rtol=1e-3
+    )

@@ -70,11 +70,13 @@ def dense_residual(parameters: np.ndarray, lines: Lines, refined: Refined) -> np
 
 def test_estimate_and_covariance_are_those_of_dense_least_squares() -> None:
     lines, terms, poles, participation = small_case()
-    refined = refine(lines, terms, poles, participation)
+    refined = refine(terms, poles, participation)
     assert refined.converged
     fixed = np.argmax(refined.participation == 1, axis=1)
     free = np.array([refined.participation[mode, 1 - fixed[mode]] for mode in range(2)])
-    start = np.concatenate([refined.poles / 1e3, free, refined.shapes.ravel(), np.zeros(3 * lines.n_element)])
+    start = np.concatenate(
+        [refined.poles / 1e3, free, refined.shapes.ravel(), np.zeros(3 * lines.matrix[0].size)]
+    )
     start = np.stack([start.real, start.imag], -1).ravel()
     dense = least_squares(
         dense_residual, start, args=(lines, refined), x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14
@@ -181,7 +183,7 @@ def test_the_scatter_of_every_line_is_that_of_the_whole_jacobian(n_output: int) 
     noisy = smooth + noise * (rng.normal(size=smooth.shape) + 1j * rng.normal(size=smooth.shape))
     lines = lines_of(lines.omega, noisy[:, :n_output])
     terms = ResidualTerms(lines, 1, 2)
-    refined = refine(lines, terms, poles, participation)
+    refined = refine(terms, poles, participation)
     scatter = by_lines(terms, refined)
     s = 1j * lines.omega
     response = as_response(lines.omega / (2 * np.pi), lines.matrix / (s**2)[:, None, None])
@@ -240,7 +242,7 @@ def test_the_last_digit_of_the_start_decides_nothing() -> None:
     h = h + 0.05 * np.std(h) * noise / np.sqrt(2)
     lines = Lines(omega, h[:, None, None], 0, np.ones(omega.size))
     terms, start = ResidualTerms(lines, 1, 3), poles[[2, 3, 1]]
-    ends = [refine(lines, terms, at, np.ones((3, 1), complex)) for at in (start, start * (1 + 1e-10))]
+    ends = [refine(terms, at, np.ones((3, 1), complex)) for at in (start, start * (1 + 1e-10))]
     assert all(end.converged for end in ends)
     error = np.sqrt(np.diag(ends[0].covariance))
     off = np.abs(ends[0].poles - ends[1].poles)

@@ -5,6 +5,7 @@ frequencies of its own, df/f = -pull 2 zeta phi^2 as a mass at the point pulls t
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
+from labpipe.methods.modal.fit import loaded_findings
 from labpipe.methods.modal.moved import mean_of_points
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
@@ -183,3 +185,13 @@ def test_the_frequency_without_what_moves_is_held() -> None:
                 )
                 held += near.ci95[0] < f_n < near.ci95[1]
     assert right >= 5 and held >= 15
+
+
+def test_a_mode_that_too_few_points_show_is_said_to_be_loaded() -> None:
+    """Without a course over phi^2 the frequency without the moving mass cannot be told; of the mode beside it
+    it can.
+    """
+    errors = {1: SimpleNamespace(unloaded=True), 2: SimpleNamespace(unloaded=False)}
+    (finding,) = loaded_findings(3, errors)  # type: ignore[arg-type]
+    assert finding.code == "moved-mode" and "mode 2, 3 are those with the moving mass" in finding.message
+    assert loaded_findings(1, errors) == ()  # type: ignore[arg-type]

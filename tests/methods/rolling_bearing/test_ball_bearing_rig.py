@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from labpipe.errors import ConfigError
+from labpipe.methods.rolling_bearing.settings import Loads
 from labpipe.methods.rolling_bearing.virtual_rig import (
     RigNoise,
     Sampling,
@@ -123,6 +124,9 @@ def test_faults_are_named(rig) -> None:
         replace(rig.deep_groove, bearing=replace(rig.deep_groove.bearing, shaft=None))
     with pytest.raises(ConfigError, match="bending_stiffness"):
         replace(rig.deep_groove, bending_stiffness=0.0)
+    for entry in ({"loads": Loads(z=500.0)}, {"damping_factor": 1e-5}):
+        with pytest.raises(ConfigError, match="the rig sets it by"):
+            replace(rig.deep_groove, bearing=replace(rig.deep_groove.bearing, **entry))
     for preloads in ((), (427.0, 427.0001)):
         with pytest.raises(ConfigError, match="names none, or one twice"):
             replace(rig.deep_groove, preloads=preloads)

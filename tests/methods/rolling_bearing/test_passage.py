@@ -16,10 +16,9 @@ from tests.methods.rolling_bearing.displaced_rings import load_vector
 def test_positions_equal_the_single_solutions(deep_groove: RollingBearing) -> None:
     loads = np.array([load_vector(y=-200.0, z=50.0), load_vector(x=900.0)])
     passage = ball_passage(deep_groove, loads, positions=6)
-    assert passage.stiffness.shape == (6, 2, 5, 5) and passage.displacement.shape == (6, 2, 5)
+    assert passage.stiffness.shape == (6, 2, 5, 5)
     for n, angle in enumerate(passage.cage_angle):
         alone = equilibrium(deep_groove, loads, cage_angle=angle)
-        np.testing.assert_allclose(passage.displacement[n], alone.displacement, atol=1e-14)
         np.testing.assert_allclose(passage.stiffness[n], alone.stiffness, rtol=1e-7, atol=1)
 
 

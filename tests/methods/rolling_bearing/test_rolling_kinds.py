@@ -248,3 +248,10 @@ def test_elements_without_load_are_not_counted() -> None:
     (found,) = rolling_coefficients([pushed])
     carrying = np.flatnonzero(found.element_state["element_load"])
     assert carrying.tolist() == [5, 6, 7, 8] and amount(found, "loaded_elements") == 4
+
+
+def test_the_range_over_a_passage_holds_the_stiffness_at_the_cage_angle_of_the_file() -> None:
+    """24 positions of 40 deg miss the least k_xx, near 0.9 deg, where two balls come loose."""
+    loads = Loads(y=-200.0)
+    (found,) = rolling_coefficients([replace(GIVEN, loads=loads, cage_angle=np.deg2rad(0.9))])
+    assert np.all(found.lowest <= found.stiffness) and np.all(found.stiffness <= found.highest)

@@ -75,7 +75,7 @@ def test_static_limit_and_reciprocity(stiffness: np.ndarray) -> None:
 
 def test_the_response_can_lie_beside_a_measured_one(stiffness: np.ndarray) -> None:
     frequency = np.arange(10.0, 100.0)
-    response = theoretical_response(SHAFT, stiffness, frequency, 1e-5, "6208 theory")
+    response = theoretical_response(SHAFT, stiffness, frequency, 1e-5)
     assert [port.label for port in response.outputs] == [
         "x",
         "y",
