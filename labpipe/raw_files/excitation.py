@@ -217,6 +217,7 @@ def _fade(place: FloatArray) -> FloatArray:
     return np.asarray(np.sin(np.pi / 2 * edge) ** 2)
 
 
+# The peak of a sum of sines is taken between this many samples per period of the highest line.
 STATED = 192
 
 

@@ -117,6 +117,7 @@ def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
 
 
 STRETCHES = 1024
+# Samples of one block of the spectrum.
 BLOCK = 4096
 
 

@@ -21,6 +21,7 @@ from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
 
 NODES, DOUBLE_NODES, TRACE, ELEMENTS, UNITS = 15, 2411, 82, 2412, 164
+# Label, two coordinate systems, colour, x, y, z.
 _NODE_WORDS = 7
 # Elements of two nodes whose nodes stand on a third line (rods and beams).
 _BEAMS = (11, 21, 22, 23, 24)

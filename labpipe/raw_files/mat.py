@@ -28,7 +28,9 @@ from labpipe.raw_files.text_table import check_filled, reading
 from labpipe.records.recording import Recording
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 
+# Elements of an HDF5 file read at once.
 PART = 1 << 20
+# Variables of a response.
 _OPTIONAL = ("covariance", "coherence")
 _MARKS = ("frequency_hz", "H", "form")
 _PORTS = tuple(f"{side}{part}" for side in ("output", "input") for part in ("s", "_dofs", "_angles_rad"))

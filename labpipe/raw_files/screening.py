@@ -159,6 +159,7 @@ COARSE = 0.1
 LEAST = 0.75
 # No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
 FASTEST = 1e12
+# Samples of which the sums are made at once.
 IN_CACHE = 1 << 13
 # Times with more significant digits are exact enough.
 MOST_DIGITS = 9

@@ -164,6 +164,7 @@ class StampClock:
 HEAD_BYTES = 1 << 18
 # Lines analysed from either end of the head; no header is longer.
 SAMPLE_LINES = 200
+# Blanks: any number of them stands between two fields.
 BLANKS = " "
 DELIMITERS = ("\t", ";", ",", "|", BLANKS)
 MISSING = frozenset(("", "nan", "NaN", "NAN", "NA", "N/A", "#N/A", "null", "-", "--", "---"))

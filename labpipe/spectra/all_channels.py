@@ -36,6 +36,7 @@ from labpipe.spectra.synchronous import lines_of_shaft, without_shaft
 
 # Degrees of freedom below which the loss of efficiency exceeds a tenth.
 ENOUGH_DOF = 13.0
+# Degrees of freedom beyond which more of them would gain less than a twentieth.
 PLENTY_DOF = 60.0
 
 

@@ -15,6 +15,7 @@ from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.matrices import hermitian, without_rounding
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
+# Motion over motion of a base.
 TRANSMISSIBILITY = "transmissibility"
 
 

@@ -31,6 +31,7 @@ SIGNIFICANT = 3.0
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
+# Numbers of matrices that are made together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
 
 

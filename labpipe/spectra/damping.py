@@ -12,7 +12,9 @@ from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.matrices import without_rounding
 
+# Half width of the local rational fit [lines].
 HALF_WIDTH = 4
+# Elements of a matrix that are corrected together.
 ELEMENTS = 16
 # Relative differences of the spacing of lines, which files print with six digits.
 EVEN = 1e-2

@@ -33,7 +33,9 @@ WEIGHTED = (
 LEVEL = 1e-3
 # Chance from which a reference that is moved forward is in order: far above that of a feedback hardly seen.
 IN_ORDER = 0.05
+# Most samples of a recording that are looked at, and fewest that tell anything.
 MOST_SAMPLES, FEWEST_SAMPLES = 1 << 15, 1 << 10
+# Fewest lines of the whole record in the excited band.
 FEWEST_LINES = 1000
 # Lags before the force that are tested, in intervals of 1 / (2 f), f the upper edge of the excited band: the
 # nearest belong to that edge.

@@ -29,6 +29,7 @@ from labpipe.spectra.windows import exponential_correlation
 CLIPPED_RUN = 3
 # Share of the double-hit level below which the contact has ended.
 ENDED = 0.5
+# Samples before a hit that tell the offset of its block.
 LEAST_BEFORE = 4
 # The force window falls from one to zero within this share of its length.
 FLANK = 0.1

@@ -33,6 +33,7 @@ from labpipe.spectra.random import blocks_of, change_of_random, joined_spectra, 
 from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
+# Neighbours on either side that tell the FRF of a line.
 SIDE = 5
 FEWEST = 4
 # Standard errors by which a line lies beside that of its neighbours where it counts by itself.

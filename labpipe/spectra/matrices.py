@@ -6,6 +6,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 
+# Numbers of matrices that are worked on together: a part of the cache.
 CACHED_NUMBERS = 1 << 15
 
 

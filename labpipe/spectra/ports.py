@@ -24,6 +24,7 @@ from labpipe.spectra.channels import check_in_time, columns_of
 from labpipe.spectra.convert import TRANSMISSIBILITY
 from labpipe.spectra.settings import FrfSettings
 
+# Time derivatives of a motion.
 ORDER_OF = {"displacement": 0, "velocity": 1, "acceleration": 2}
 FORM_OF = {"displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance"}
 

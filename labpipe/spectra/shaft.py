@@ -16,6 +16,7 @@ from labpipe.spectra.settings import ShaftLines
 # upper one.
 LOW_SHARE, HIGH_SHARE = 0.4, 0.6
 
+# Revolutions over which the speed is averaged.
 STRETCH = 10
 
 

@@ -14,6 +14,7 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.spectra.damping import HalfPower, half_power
 
+# Fewest periods of one frequency that count as a dwell.
 LEAST_PERIODS = 5
 # A zero crossing counts once the force has been below this share of its local peak.
 HYSTERESIS = 0.3

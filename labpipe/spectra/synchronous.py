@@ -174,6 +174,7 @@ def _refine(source: SampleSource, speed: float, stretch: int) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
+# Factor by which the stretches grow that refine a speed.
 LONGER = 4
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, which is
 # dropped. It is fitted all the same, down to the smaller share, since it leaks into neighbouring lines.

@@ -22,6 +22,7 @@ from labpipe.spectra.bands import lines_in
 
 # Smooth terms along the lines of a band, which carry what modes outside it add.
 SMOOTH_TERMS = 3
+# Fewest lines of a decay in a band.
 LEAST_LINES = 4 * SMOOTH_TERMS
 
 
