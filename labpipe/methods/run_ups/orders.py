@@ -444,11 +444,12 @@ def _option(option: str) -> Iterator[None]:
 
 def _stated_unbalance(texts: tuple[str, ...], since: bool, is_saved: bool) -> float:
     """The one unbalance [kg m] that the motion answers, else 0; ConfigError where a baseline needs it."""
-    if len(texts) == 1:
-        return abs(_unbalances(texts).popitem()[1])
-    if since or (texts and not is_saved):
+    sizes = [abs(size) for size in _unbalances(texts).values()]
+    if len(sizes) == 1 and sizes[0] > 0:
+        return sizes[0]
+    if since or (sizes and not is_saved):
         hint = "--unbalance 'disc 1=50 g.mm at 0 deg'"
-        raise ConfigError("sensitivity is to one stated unbalance", hint=hint)
+        raise ConfigError("sensitivity is to one stated unbalance above zero", hint=hint)
     return 0.0
 
 

@@ -107,6 +107,7 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
             ("--tacho", "n", "--slow-roll", "1-2 Hz", "--unbalance", "x=3 g.mm", "--unbalance", "y=3 g.mm"),
             "sensitivity is to one stated unbalance",
         ),
+        (("--tacho", "n", "--slow-roll", "1-2 Hz", "--unbalance", "x=0 g.mm"), "unbalance above zero"),
         (
             ("--tacho", "n", "--save-run-up", "t.csv", "--load", "3 N", "--unbalance", "x=3 g.mm"),
             "--save-run-up: the plane of the responses has no name",
