@@ -181,15 +181,19 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     """
     descent = np.einsum("nf,nf->n", trial.residual, step[:, problem.free])
     length = np.ones(len(step))
+    open_cases = np.arange(len(step))
     for _ in range(MAX_CUTS):
-        there = problem.at(trial.u + length[:, None] * step)
-        rise = -np.einsum("nf,nf->n", there.residual, step[:, problem.free])
-        fallen = there.potential <= trial.potential - 1e-4 * length * descent
-        short = ~(fallen | (rise <= 0.1 * descent))
+        is_open = np.isin(np.arange(len(step)), open_cases)
+        part = problem if is_open.all() else problem.of_cases(is_open)
+        t, p, fall = length[open_cases], step[open_cases], descent[open_cases]
+        there = part.at(trial.u[open_cases] + t[:, None] * p)
+        rise = -np.einsum("nf,nf->n", there.residual, p[:, problem.free])
+        fallen = there.potential <= trial.potential[open_cases] - 1e-4 * t * fall
+        short = ~(fallen | (rise <= 0.1 * fall))
         if not short.any():
             break
-        cut = np.clip(descent / np.maximum(descent + rise, descent), 0.1, 0.7)
-        length = np.where(short, length * cut, length)
+        length[open_cases[short]] = (t * np.clip(fall / np.maximum(fall + rise, fall), 0.1, 0.7))[short]
+        open_cases = open_cases[short]
     return trial.u + length[:, None] * step
 
 

@@ -15,6 +15,7 @@ M q'' + C q' + K q = f, q = (x, y, z, bx, by) at the bearing's centre, which is 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -108,6 +109,20 @@ class ElementFrame:
         axial = np.stack([zero, zero, zero + 1, lever * sin, -lever * cos], -1)
         return cls(np.stack([cos, sin, zero, zero, zero], -1), axial)
 
+    @cached_property
+    def squares(self) -> FloatArray:
+        """e_r e_r^T, e_r e_z^T + e_z e_r^T and e_z e_z^T of every element, (3 z, 25) [-]. For a frame common
+        to all load cases.
+        """
+        r, a = self.radial, self.axial
+        mixed = r[:, :, None] * a[:, None, :]
+        pairs = (
+            r[:, :, None] * r[:, None, :],
+            mixed + np.swapaxes(mixed, 1, 2),
+            a[:, :, None] * a[:, None, :],
+        )
+        return np.concatenate(pairs).reshape(-1, 25)
+
     def of_cases(self, cases: BoolArray | slice) -> ElementFrame:
         """The frame of the load cases *cases* (n_case,)."""
         return self if self.radial.ndim == 2 else ElementFrame(self.radial[cases], self.axial[cases])
@@ -115,10 +130,14 @@ class ElementFrame:
 
 def weighted_sum(weights: FloatArray, vectors: FloatArray) -> FloatArray:
     """sum_j w_j v_j, (n_case, k) [unit of w v]: *weights* (n_case, m), *vectors* (m, k) or (n_case, m, k)."""
+    if vectors.ndim == 2:
+        return weights @ vectors
     return (weights[:, None, :] @ vectors)[:, 0]
 
 
 def _along(vectors: FloatArray, q: FloatArray) -> FloatArray:
+    if vectors.ndim == 2:
+        return q @ vectors.T
     return (vectors @ q[:, :, None])[:, :, 0]
 
 
@@ -176,9 +195,17 @@ def stiffness_sum(at: Contacts, frame: ElementFrame) -> FloatArray:
 
     n = cos a e_r + sin a e_z, t = cos a e_z - sin a e_r. Equation (roll-stiffness).
     """
-    along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
-    across = at.cos[..., None] * frame.axial - at.sin[..., None] * frame.radial
-    return _square(along, at.slope) + _square(across, at.turning)
+    if frame.radial.ndim == 3:
+        along = at.cos[..., None] * frame.radial + at.sin[..., None] * frame.axial
+        across = at.cos[..., None] * frame.axial - at.sin[..., None] * frame.radial
+        return _square(along, at.slope) + _square(across, at.turning)
+    weights = (
+        at.slope * at.cos**2 + at.turning * at.sin**2,
+        (at.slope - at.turning) * at.sin * at.cos,
+        at.slope * at.sin**2 + at.turning * at.cos**2,
+    )
+    # The same sum as one matrix product, since all load cases have the same e_r and e_z.
+    return (np.concatenate(weights, axis=1) @ frame.squares).reshape(-1, 5, 5)
 
 
 def _square(vectors: FloatArray, weights: FloatArray) -> FloatArray:
