@@ -173,9 +173,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first; and all other files that any of them
-    names.
-    """
+    """The settings files that a settings file names, itself first; and all other files that these name."""
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:
         for node in _texts(load_marked(file)):
@@ -238,9 +236,7 @@ def check_output(path: Path) -> None:
 
 
 def write_archive(contents: Contents, path: Path, date: str) -> None:
-    """Write the archive; DataError where a file changes meanwhile. An .eln has one folder of its own name
-    around all.
-    """
+    """Write the archive, an .eln with one folder around all. DataError where a file changes meanwhile."""
     check_output(path)
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
     with output_file(path) as target, zipfile.ZipFile(target, "x") as archive:
@@ -298,9 +294,7 @@ class Opened:
         return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
-        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written
-        is no fault of the archive.
-        """
+        """The content of a member. DamagedError where it cannot be read, none where it cannot be written."""
         try:
             with self.archive.open(info) as stream:
                 while chunk := stream.read(CHUNK):
@@ -311,9 +305,7 @@ class Opened:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Opened]:
-    """An archive to be read. DataError for what is no ZIP, for names that lead out of it, and without
-    metadata.
-    """
+    """An archive to be read. DataError for no ZIP, for names that lead out of it, and without metadata."""
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
         raise DataError(what, path, NAME_ONE)

@@ -30,9 +30,7 @@ STRUCTURAL_ZERO = 1e-9
 
 
 def stiffness_figure(name: str, bearing: BearingCoefficients) -> Figure:
-    """Heat map of the stiffness matrix: the colour is K_ij / sqrt(K_ii K_jj), the number the coefficient in
-    its unit.
-    """
+    """Heat map of the stiffness: the colour is K_ij / sqrt(K_ii K_jj), the number K_ij in its unit."""
     n, ticks = len(bearing.dofs), named_ticks(bearing.dofs)
     texts = [[_coefficient_text(bearing, row, column) for column in range(n)] for row in range(n)]
     matrix = cells(bearing.relative, texts, "k_ij / sqrt(k_ii k_jj)")
@@ -127,9 +125,7 @@ def evaluate(file: BearingFile) -> Evaluated:
 
 
 def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
-    """The coefficients at every value of the sweep, in its order; the uncertainty of the swept entry itself
-    does not count.
-    """
+    """The coefficients at every value of the sweep, without the uncertainty of the swept entry itself."""
     entries = [f"{sweep.key}={float(value)!r} {sweep.unit}" for value in sweep.values]
     return _evaluate(file, entries, [key for key in file.uncertainties if key != sweep.key])
 
@@ -159,9 +155,7 @@ def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) 
 
 
 def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, Any]:
-    """Entries of --json: kind, dofs, stiffness, damping, equilibrium, and where known the range over a ball
-    passage. SI units.
-    """
+    """The entries of --json, in SI units: the coefficients and all that is known beside them."""
     coefficients = whole.coefficients
     equilibrium = {amount.name: amount.value for amount in coefficients.rest}
     equilibrium |= {key: values.tolist() for key, values in coefficients.element_state.items()}
@@ -222,9 +216,7 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
-    """bearing.json, figures of the stiffness and of a film's pressure, a shaft's transfer matrix; the files'
-    names.
-    """
+    """Write bearing.json, figures, and a shaft's transfer matrix; the names of the files."""
     from labpipe.document.charts import svg_file
 
     coefficients = whole.coefficients

@@ -26,10 +26,7 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class ChainUncertaintySettings(Settings):
-    """Standard uncertainties of a channel's chain beside those of its numbers.
-
-    How else they are meant stands in brackets.
-    """
+    """Standard uncertainties of a channel's whole chain; in brackets, how else they are meant."""
 
     gain: str = setting(
         "text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default=""
@@ -116,9 +113,7 @@ READERS = {"sensitivity": _of_sensitivity, "delay": _of_delay, "dof": _of_direct
 
 @dataclass(frozen=True)
 class Slope:
-    """Slope of a calibration fit [unit] with its standard error and degrees of freedom. No error where the
-    fit has none.
-    """
+    """Slope of a calibration fit [unit], its standard error, 0 where the fit has none, degrees of freedom."""
 
     value: float
     unit: str
@@ -127,9 +122,7 @@ class Slope:
 
 
 def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the *folder*. UnitError where
-    there is none.
-    """
+    """The slope of a calibration fit by FILE#FIT, relative to the *folder*. UnitError for none."""
     file, _, fit_name = reference.partition("#")
     unreadable = f"'{file}' is not a readable identification.json of a calibration"
     try:
@@ -226,9 +219,7 @@ class Certified:
 
 
 def certified_sensitivity(node: Marked, folder: Path, key: str, faults: Faults) -> Certified | None:
-    """The sensitivity of a channel by its certificate in a *folder*; None and a fault for one that cannot be
-    used.
-    """
+    """The sensitivity of a channel by its certificate in a *folder*; None and a fault without."""
     settings = read_settings(CertificateSettings, node, key, faults)
     if settings is None:
         return None

@@ -64,10 +64,7 @@ MADE_BY = f"{__version__} {code_digest()}"
 
 @contextmanager
 def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The index of a folder, brought up to date; in memory for a read-only folder.
-
-    DataError for a missing folder or one without results.
-    """
+    """The index of a folder, up to date; in memory where read-only. DataError for no folder or no results."""
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     with closing(_open(folder)) as connection:
@@ -103,9 +100,7 @@ def _open(folder: Path) -> sqlite3.Connection:
 
 
 def _stamp(database: bytes) -> bytes:
-    """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index
-    is noticed.
-    """
+    """The database with its CRC-32 as the user's version, by which a damaged index is noticed."""
     first, last = database[: _STAMP.start], database[_STAMP.stop :]
     return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
 
@@ -160,10 +155,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
 
 
 def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
-    """The rows of a result with their tables.
-
-    One of BAD_ENTRY for entries of other types than labpipe writes.
-    """
+    """The rows of a result with their tables. One of BAD_ENTRY for entries that labpipe does not write."""
     conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
     dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
     entry = {
@@ -357,10 +349,7 @@ def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
 
 
 def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
-    """The parameters that meet the criteria, by date, result and fit.
-
-    ConfigError for a name that no result has.
-    """
+    """The parameters that meet the criteria, by date, result and fit. ConfigError for an unknown name."""
     clauses, bound = _clauses(index, criteria, "v.date", " AND c.test = v.test")
     for column in NAMED:
         if pattern := getattr(criteria, column):

@@ -75,9 +75,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
-    """The parameters of all fits in the dataset of a *folder*, by date and test, with what comparing them
-    takes.
-    """
+    """The parameters in the dataset of a *folder*, by date and test, ready for comparison."""
     return [
         ListedParameter(
             fit=row.fit,
@@ -178,10 +176,7 @@ def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
 
 
 def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
-    """The results below a folder with at least one test that meets the criteria, the oldest first.
-
-    Errors as of `found_values`.
-    """
+    """The results with a test that meets the criteria, the oldest first. Errors as of `found_values`."""
     with open_index(folder) as index:
         homes = _homes(index, folder)
         if not homes or not criteria.where:
@@ -338,10 +333,7 @@ class Series:
 
     @property
     def line(self) -> WeightedFit | None:
-        """The weighted straight line.
-
-        None where values, errors or differences of the condition are missing.
-        """
+        """The weighted line; None where values, errors or differences of the condition are missing."""
         try:
             return straight_trend(self.condition, self.values, self.errors)
         except FitError:

@@ -79,9 +79,7 @@ def decide(
 
 
 def limits_of(decision: Decision, unit: str) -> decisions.Limits:
-    """The limits in SI; UnitError for those of another dimension, or where the lower one does not come
-    first.
-    """
+    """The limits in SI; UnitError for another dimension, or where the lower one does not come first."""
     limits = decisions.Limits(
         parse_value(decision.low, unit) if decision.low else -math.inf,
         parse_value(decision.high, unit) if decision.high else math.inf,
@@ -122,9 +120,7 @@ def _outcome(
     limits: decisions.Limits,
     probability: float,
 ) -> tuple[str, decisions.Limits | None]:
-    """The outcome, and the values that pass; None where none does. *errors*: standard and expanded
-    uncertainty.
-    """
+    """The outcome, and the values that pass, if any do. *errors*: standard and expanded uncertainty."""
     error, expanded = errors
     if decision.rule == RISK:
         return decisions.outcome_by_risk(probability, decision.risk), decisions.acceptance_by_risk(

@@ -28,9 +28,7 @@ _TURN = re.compile(r"^([+-]?)\s*(cos|sin)\s*\((.*)\)$")
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: its value and dimension, the number with uncertainty behind it, and the factor's
-    derivative by that.
-    """
+    """A factor of a term, the number with uncertainty behind it, and the factor's derivative by that."""
 
     value: float
     dimension: Dimension
@@ -39,9 +37,7 @@ class Factor:
 
 
 def read_constants(node: Marked | None, channels: Collection[str], faults: Faults) -> dict[str, Factor]:
-    """The entries of ``constants:`` by name; faults for those that are no value with a unit, or one of the
-    *channels* by their name.
-    """
+    """The entries of ``constants:``; faults for no value with a unit, and for names of *channels*."""
     constants: dict[str, Factor] = {}
     if node is None:
         return constants
@@ -56,9 +52,7 @@ def read_constants(node: Marked | None, channels: Collection[str], faults: Fault
 
 
 def parse_factor(text: str, name: str) -> Factor:
-    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty. UnitError for
-    anything else.
-    """
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg)"; *name*: of its uncertainty. UnitError for others."""
     turn = _TURN.match(text.strip())
     if turn is not None:
         return _turn(turn[1], turn[2], turn[3], name)
@@ -169,9 +163,7 @@ def _parts(text: str) -> list[tuple[float, str]]:
 
 
 def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
-    """The sum of channel *name* in recorded channels, sums in it written out. UnitError for one that holds
-    itself.
-    """
+    """The sum of channel *name* in recorded channels. UnitError for one that holds itself."""
     if name in above:
         ring = " of ".join((*above[above.index(name) :], name))
         raise UnitError(f"the sum holds itself: {ring}", "write it in recorded channels")

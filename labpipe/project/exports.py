@@ -42,9 +42,7 @@ WRITERS = Registry("writer")
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as labpipe reads it again; recordings, decays, spectra as columns "name [unit]"; results as
-    parameters.
-    """
+    """An FRF as labpipe reads it again; samples and spectra by "name [unit]"; results as parameters."""
     table = _table(artefact)
     if table is None:
         write_frf_csv(target, measured_files.read_response(artefact))
@@ -72,9 +70,7 @@ def _table(artefact: Path) -> pd.DataFrame | None:
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
-    """A recording or an FRF as a universal file, numbers as text. Of a result its mode shapes (records 15, 82
-    and 55).
-    """
+    """A recording or FRF as a universal file; of a result its mode shapes (records 15, 82 and 55)."""
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
         return
@@ -161,9 +157,7 @@ def recording_table(artefact: Path) -> pd.DataFrame:
 
 
 def decay_table(artefact: Path) -> pd.DataFrame:
-    """One row per sample: number of the decay from 1, recording, time in it in seconds, responses in SI
-    units.
-    """
+    """One row per sample: number of the decay from 1, recording, time in it [s], responses [SI]."""
     decays = measured_files.read_decays(artefact)
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
     tables = []
@@ -185,9 +179,7 @@ def _refuse_tables(artefact: Path, what: str) -> None:
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:
-    """One row per run and line: real part, imaginary part and standard deviation of every channel "name
-    [unit]".
-    """
+    """One row per run and line: real and imaginary part and deviation of every channel "name [unit]"."""
     spectra = measured_files.read_spectra(artefact)
     tables = []
     for number, run in enumerate(spectra.runs):
@@ -253,9 +245,7 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units]. Noise has no change with
-    a sign.
-    """
+    """Source, covariance (n, n) and change (n,) of all parameters by it [SI]; noise has no change."""
     # None becomes not-a-number.
     errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)
     correlation = np.eye(errors.size)

@@ -98,9 +98,7 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal, as printed,
-    and positive.
-    """
+    """Columns of *rows* (n_row, n_column) [recorded units] of equal positive steps, as printed: times."""
     return [name for name, column in zip(names, rows.T, strict=True) if step_of(column)]
 
 
@@ -172,10 +170,7 @@ def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | 
 def guess_channels(
     names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None
 ) -> list[GuessedChannel]:
-    """A channel for every column by its name, unit and sensitivity.
-
-    The force of a rig with one response acts along it.
-    """
+    """A channel for every column by its metadata. The force of a rig with one response acts along it."""
     keys: list[str] = []
     for name in names:
         keys.append(_key(name, keys))
@@ -236,9 +231,7 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
 
 
 def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
-    """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says
-    what is measured.
-    """
+    """The channel with the sensitivity of a sensor in volts, whose unit says what is measured."""
     match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
     if match is None or _measured_in(channel.unit) != "voltage":
         return channel
@@ -270,9 +263,7 @@ def _measured_in(unit: str) -> str:
 
 
 def _node(name: str) -> str:
-    """The node of a point and direction such as "12-Z" of a universal file or "shaft:12:-Z" of Test.Lab, ''
-    for other names.
-    """
+    """The node of a point such as "12-Z" (universal files) or "shaft:12:-Z" (Test.Lab), '' for others."""
     match = _POINT.match(name)
     return match[1] if match else ""
 

@@ -59,9 +59,7 @@ class GuessedFrf:
 
 
 def guessed_frf(path: Path) -> GuessedFrf | None:
-    """The FRFs of a table or of variables of another program, or of universal records that leave their form
-    open. None for any other file.
-    """
+    """The FRFs of a table, of variables or of universal records without a form; None for other files."""
     suffix = plain_suffix(path)
     if suffix in frf_described.VARIABLE_SUFFIXES:
         return _of_variables(frf_described.columns_of_variables(path))
@@ -149,9 +147,7 @@ _OTHERS = {"amplitude": ("phase", r"phase|arg|ang(le)?"), "re": ("im", r"im(ag)?
 
 
 def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
-    """The FRFs among variables: complex vectors, or amplitudes with their phases, beside a rising vector of
-    as many real numbers.
-    """
+    """The FRFs among variables: complex vectors, or amplitudes and phases, beside a rising vector."""
     vectors = _vectors(source)
     elements, doubts = _complex_elements(vectors)
     if not elements:
@@ -186,9 +182,7 @@ def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatAr
 
 
 def _by_labels(source: frf_described.DescribedColumns, elements: Elements) -> tuple[Elements, str]:
-    """The elements by the labels of their responses, and the label of their one reference, where the file has
-    these.
-    """
+    """The elements by the labels of their responses, and that of their one reference, if there are any."""
     labels: dict[str, str] = {}
     references: set[str] = set()
     for part in source.signals:

@@ -1,6 +1,4 @@
-"""identify: frequency responses or free decays -> identification.json, every rule of the pipeline held
-against it.
-"""
+"""identify: responses or decays -> identification.json, every rule of the pipeline held against it."""
 
 from __future__ import annotations
 

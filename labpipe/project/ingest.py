@@ -164,9 +164,7 @@ def _check_rate(table: Table, rig: Rig) -> None:
 
 
 def check_table(table: Table, rig: Rig) -> list[str]:
-    """The columns of the rig's channels, the time before them. DataError for one that is missing, or whose
-    unit is another.
-    """
+    """The columns of the rig's channels, the time first. DataError for a missing one or another unit."""
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
     check_time(table, rig.time)
@@ -192,9 +190,7 @@ class Calibration:
         self._changes = (self._scale != 1) | (self._offset != 0)
 
     def measured(self, chunk: FloatArray) -> FloatArray:
-        """Recorded columns (n, n_measured) [unit of the file] in SI units. Those of a file that holds these
-        already are not copied.
-        """
+        """Recorded columns (n, n_measured) [unit of the file] in SI units, not copied where they are."""
         if not self._changes.any():
             return chunk
         block: FloatArray = chunk * self._scale
@@ -207,9 +203,7 @@ class Calibration:
         return values * self._scale[number] + self._offset[number] if self._changes[number] else values
 
     def in_rows(self, columns: Sequence[FloatArray]) -> FloatArray:
-        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], the channels of a sample side by
-        side.
-        """
+        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], sample by sample."""
         block = np.empty((columns[0].size, len(columns)))
         for start in range(0, block.shape[0], IN_CACHE):
             piece = slice(start, start + IN_CACHE)
@@ -271,9 +265,7 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
 
 
 def stated_rate(table: Table, rig: Rig) -> float:
-    """The sampling rate [Hz] that the rig file or the file itself states. DataError when none does, or both
-    do and differ.
-    """
+    """The rate [Hz] that the rig file or the file states. DataError for none, or two that differ."""
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
         message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
@@ -304,9 +296,7 @@ def _check_unit(table: Table, channel: RigChannel) -> None:
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
-    """The recorded values at which the logger clips, in SI units of the channel, increasing. Pulses have flat
-    ends and none.
-    """
+    """Where the logger clips [SI of the channel], increasing. Pulses have flat ends and no limits."""
     if channel.limits is None:
         return FAR if channel.channel.quantity == "tacho" else None
     low, high = sorted(limit * channel.scale + channel.offset for limit in channel.limits)
@@ -376,9 +366,7 @@ class RawRecording:
 
     @cached_property
     def sample_rate(self) -> float:
-        """Rate [Hz] as the rig file or the raw file states it, or by the time column, which is read first, by
-        itself.
-        """
+        """Rate [Hz] as the rig file or the raw file states it, or by the time column, read first."""
         if not self.rig.time:
             return stated_rate(self._table, self.rig)
         screen = TimeAxisScreen(self.rig.time)
@@ -421,9 +409,7 @@ class RawRecording:
             self._sha256 = self._sha256 or digest.hexdigest()
 
     def _screen(self, screen: ChannelScreen, columns: Sequence[FloatArray]) -> None:
-        """Look at the next columns, each (n,) [unit of the file]: at their extremes, which calibration keeps,
-        then where those say so.
-        """
+        """Look at the extremes of columns (n,) [unit of the file], and into them where these say so."""
         calibrated = self._calibration.of_channel
         extremes = ((column.min(), column.max()) for column in columns)
         ends = np.array([[calibrated(n, end) for end in pair] for n, pair in enumerate(extremes)])

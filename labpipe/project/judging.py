@@ -48,9 +48,7 @@ def compare_number(
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
-    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one. UnitError
-    for a wrong one.
-    """
+    """The value [*unit*, SI] in the unit of the rule, for 0 in the usual one. UnitError for a wrong one."""
     written = written_unit(split_uncertainty(rule.bound)[0])
     return (
         with_error(in_unit(value, unit, written), None, written)
@@ -60,9 +58,7 @@ def found_text(rule: Rule, value: float, unit: str) -> str:
 
 
 def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> deciding.Compared:
-    """Whether a 95 % interval [*unit*, SI] covers the value of the rule. The interval as text, in SI and in
-    the unit of the rule.
-    """
+    """Whether a 95 % interval [*unit*, SI] covers the value of the rule."""
     try:
         wanted = parse_value(rule.bound, unit)
         if ci95 is None:
@@ -125,9 +121,7 @@ def unfounded(rule: Rule) -> RuleOutcome:
 
 
 def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
-    """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings
-    expects that one.
-    """
+    """A failed rule for every fit with a forbidding warning that no rule on its warnings expects."""
     on_warnings = [rule for rule in rules if rule.item == "warnings"]
     codes: dict[str, str] = {}
     for fit in fits:
@@ -190,9 +184,7 @@ def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[
 
 
 def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
-    """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses
-    (bands, terms, tests).
-    """
+    """What a rule finds in fits: it must hold for each that it addresses (bands, terms, tests)."""
     if rule.together:
         try:
             return PartialOutcome(outcome=together(rule, fits, {}), addressed=len(fits))
@@ -236,9 +228,7 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
 
 
 def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
-    """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the
-    centre of a band.
-    """
+    """The fits of the rule's name, or by what stands in brackets: test, diagonal term or centre of a band."""
     try:
         centre = parse_value(rule.which, "Hz")
     except UnitError:
@@ -255,9 +245,7 @@ def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
 
 
 def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compared:
-    """ "collinear" must be among the warnings, "not collinear" must not, "also collinear" may; "none" means
-    no warning at all.
-    """
+    """ "collinear" must be there, "not collinear" must not, "also collinear" may; "none": no warning."""
     codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, findings)))
     code = rule.bound
     if code == "none":

@@ -124,9 +124,7 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
 
 
 def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
-    """The result of many tests without the parts of its dataset. ConfigError for a rule that addresses
-    nothing where no test failed.
-    """
+    """The result of many tests but its parts. ConfigError for a rule on nothing where no test failed."""
     return Identification(
         fits=(),
         title=pipeline.title,

@@ -30,9 +30,7 @@ class Marked:
 
     @property
     def place(self) -> str:
-        """Place at which a fault of this entry is reported: its key, or the node itself (list entries, the
-        whole file).
-        """
+        """Where a fault of this entry is reported: its key, or the node (of lists, the whole file)."""
         return self.key_where or self.where
 
     @property
@@ -56,9 +54,7 @@ class Marked:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML whose scalars keep a plain reading: no dates, no 1_000, no sexagesimal 45:30, no yes/no
-    booleans.
-    """
+    """Safe YAML with plain scalars: no dates, no 1_000, no sexagesimal 45:30, no yes/no booleans."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -79,9 +75,7 @@ MOST_KEPT = 1 << 15
 
 
 def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
-    """The marked tree of a YAML file with the entries of *overrides*; ConfigError with the place of a
-    fault.
-    """
+    """The marked tree of a YAML file with the *overrides*; ConfigError with the place of a fault."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise ConfigError("is no regular file", path)
@@ -138,9 +132,7 @@ def _place(mark: yaml.Mark, name: str) -> str:
 
 
 class _Tree:
-    """The marked nodes of one file: counted, since a few aliases of aliases stand for more than any memory
-    holds.
-    """
+    """The marked nodes of one file: counted, since aliases of aliases may stand for any number."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -180,9 +172,7 @@ class _Tree:
 
 
 def _scalar(node: yaml.Node) -> Any:
-    """Text, None, bool or number: a number only when it is written as one (45 is, '45' and 45 deg are
-    not).
-    """
+    """Text, None, bool or number: a number only when written as one (45 is, '45' and 45 deg are not)."""
     text = str(node.value)
     if getattr(node, "style", None) in ("'", '"', "|", ">"):
         return text
@@ -199,9 +189,7 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def set_entry(root: Marked, assignment: str) -> None:
-    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number. ConfigError where it
-    is impossible.
-    """
+    """Apply ``key.sub=value`` (YAML) to the tree; list entries by number. ConfigError where it cannot."""
     path, equals, text = assignment.partition("=")
     where = f"{SET} {assignment}"
     if not equals or not path.strip():
@@ -220,9 +208,7 @@ def set_entry(root: Marked, assignment: str) -> None:
 
 
 def _plain_or_yaml(text: str, where: str) -> Marked:
-    """The value as YAML, or as plain text where it begins with a sign such as '>=' that is reserved in
-    YAML.
-    """
+    """The value as YAML, or as text where it begins with a sign such as '>=', reserved in YAML."""
     if not text.strip() or text.lstrip()[0] in "><%@`&*!|":
         return Marked(text.strip(), where, where, text.strip())
     value = parse_marked(text, where)

@@ -1,6 +1,4 @@
-"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl
-frequency.
-"""
+"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl."""
 
 from __future__ import annotations
 
@@ -46,9 +44,7 @@ def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ..
 
 
 def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
-    """One row for every point and coefficient: conditions with their units, value with its uncertainty,
-    repeats, theory [SI].
-    """
+    """One row per point and coefficient: conditions, value, uncertainty, repeats, theory [SI]."""
     rows = []
     for matrix in matrices:
         for point in matrix.points:
@@ -164,9 +160,7 @@ def _interpolate(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) ->
 
 
 def _coefficients(course: Course, frequency: FloatArray) -> FloatArray:
-    """k = Re H and c = Im H / w (n, 8) [SI] at frequencies (n,) [Hz]; beyond the band that was measured,
-    those of its end.
-    """
+    """k = Re H, c = Im H / w (n, 8) [SI] at (n,) [Hz]; beyond the measured band those of its end."""
     within = np.clip(frequency, course[0][0], course[0][-1])
     stiffness = _interpolate(*course, within).reshape(-1, 4)
     return np.hstack([stiffness.real, stiffness.imag / (2 * np.pi * within[:, None])])

@@ -81,9 +81,7 @@ def measured_header(
     test: str,
     conditions: dict[str, str] | None,
 ) -> Header:
-    """The header of what is measured from recordings. Of raw ones with their rigs, which make them what they
-    are.
-    """
+    """The header of what is measured from recordings, of raw ones with their rigs."""
     frf = dataclasses.asdict(settings)
     parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
     raw = [recording for recording in recordings if isinstance(recording, RawRecording)]
@@ -213,9 +211,7 @@ def measure_test(
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """What labpipe measured, or a ready response of any other program. Name and conditions of its test take
-    the place of its own.
-    """
+    """What labpipe measured, or any ready response; *name*, *conditions*: of its test, for its own."""
     kind = _kind_of_file(path)
     if kind is None or not path.is_file():
         # The readers of other programs' files are not imported by a run that reads its own responses.

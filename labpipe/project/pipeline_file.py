@@ -28,9 +28,7 @@ from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSet
 
 @dataclass(frozen=True)
 class RepeatSettings(Settings):
-    """What changes a parameter between repeats of a test: as it is known, or as a repeatability test found
-    it.
-    """
+    """What changes a parameter between repeats: as known, or as a repeatability test found it."""
 
     parameter: str = setting("text", "the coefficient that scatters, of every fit that has it: k", default="")
     size: str = setting("text", "its standard uncertainty, relative: 0.5 %, or 0.5 % (dof=4)", default="")
@@ -65,9 +63,7 @@ METHODS = ("first-order", "monte-carlo")
 
 @dataclass(frozen=True)
 class UncertaintySettings(Settings):
-    """The ``uncertainty:`` section: how the uncertainties of given numbers are propagated, for all fits that
-    do not say it themselves.
-    """
+    """The ``uncertainty:`` section: how uncertainties are propagated in fits that do not say it."""
 
     coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
     method: str = setting(
@@ -204,9 +200,7 @@ def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
-    """(model, key) of a model's section among the entries of a fit. Other models are loaded for a key that no
-    fit has without them.
-    """
+    """(model, key) of a model's section in a fit. Other models are loaded for an unknown key alone."""
     if "model" not in entries:
         return None
     unknown = entries.keys() - settings_of(FitSettings).keys()
@@ -223,9 +217,7 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
-    """The settings of a comparison. Faults for a name that a fit has, for another kind's section, and for a
-    fit that is not there.
-    """
+    """The settings of a comparison. Faults for a taken name, another kind's section, no such fit."""
     faults = reading.faults
     if name in reading.names:
         faults.add(node, key, "a fit or calibration has this name already", "rules could not tell them apart")
@@ -319,9 +311,7 @@ class Pipeline:
 
     @property
     def side_files(self) -> list[Path]:
-        """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and
-        FRFs.
-        """
+        """Tables, bearing and rotor files and run-ups that the result depends on beside its data."""
         others = [settings for name, settings in self.sections.items() if name != "identify"]
         owners = [owner for part in others for owner in (part if isinstance(part, tuple) else (part,))]
         return list(dict.fromkeys(path for owner in owners for path in named_files(owner, self.folder)))
@@ -333,9 +323,7 @@ def section_names() -> tuple[str, ...]:
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a pipeline file, its rig files read along. ConfigErrors with every fault of all files
-    at its place.
-    """
+    """The pipeline of a file, rig files read along. ConfigErrors with every fault at its place."""
     return _load(path, overrides, TestReader.tests)
 
 
@@ -358,9 +346,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
 
 
 def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a test that is followed while it runs: its recordings are not read, its rig file is.
-    Errors as of `load_pipeline`.
-    """
+    """The pipeline of a test followed while it runs: its rig is read. Errors as of `load_pipeline`."""
 
     def to_come(reader: TestReader) -> tuple[Test, ...]:
         return () if reader.rig is None else (Test("", (SourceFile(path, reader.rig),)),)

@@ -223,9 +223,7 @@ def _proposals(
 
 
 def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Proposal:
-    """The fit to an element of the first column; *stated*: the quantities are no guess, so that phases say
-    something.
-    """
+    """The fit to an element of the first column; *stated*: no quantity is a guess, phases say something."""
     coherence = None if response.coherence is None else response.coherence[:, row, 0]
     if coherence is not None and coherence.min() > ALL_EXPLAINED:
         # One hit explains itself.

@@ -1,6 +1,4 @@
-"""Ready responses: labpipe's own files and those of other programs, as a path or an entry under ``frfs:``
-names them.
-"""
+"""Ready responses: labpipe's own files and those of other programs, by path or entry of ``frfs:``."""
 
 from __future__ import annotations
 
@@ -55,9 +53,7 @@ def is_response(path: Path) -> bool:
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
-    """A ready response: labpipe's own file, or another program's. Name and conditions of its test take the
-    place of its own.
-    """
+    """A ready response of any program; *name*, *conditions*: of its test, in place of its own."""
     if path.is_dir():
         raise DataError("is a folder, a file is needed", path)
     if not path.exists():

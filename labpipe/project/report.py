@@ -35,9 +35,7 @@ def drawn_from(result: Path, code: str = "") -> str:
 
 
 def stamp(content: bytes, source: str, report_format: str) -> bytes:
-    """The bytes of a report with its last line. As they are without a *source* or for a format that has no
-    comments.
-    """
+    """A report with its last line; as it is without a *source*, or in a format without comments."""
     if not source or report_format not in COMMENTS:
         return content
     begin, end = COMMENTS[report_format]
@@ -103,9 +101,7 @@ def write_test_report(
     figures: Path | None = None,
     results: Path | None = None,
 ) -> None:
-    """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the
-    folder that it was read from.
-    """
+    """Write the pages of one test. ConfigError for an unknown test. *results*: the result's folder."""
     from labpipe.report.build import build
 
     if identification.dataset is not None:
@@ -135,9 +131,7 @@ def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
 def write_reports(
     identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]
 ) -> None:
-    """Draw the reports of a result into its folder, where it lies already. One that was drawn from this very
-    result, and is whole, stays as it is.
-    """
+    """Draw the reports of a result into its folder but those drawn from this very result, and whole."""
     source = drawn_from(target / NAME)
     stale = [name for name in formats if not is_drawn(target / f"report.{name}", source)]
     if not stale:
@@ -177,9 +171,7 @@ def renderer_of(table: str, report_format: str) -> Callable[[Any], bytes]:
 def write_campaign(
     results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None
 ) -> None:
-    """Write the report of many results (name, identification) together: trends, control limits,
-    differences.
-    """
+    """Write the report of many results (name, identification): trends, control limits, differences."""
     from labpipe.report.campaign import campaign_document
 
     _write_document(campaign_document(results), path, figures)

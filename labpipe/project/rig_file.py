@@ -271,9 +271,7 @@ def _sum_channel(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> Channel | None:
-    """A sum with the delay and response that all its members have. None where they differ, which the FRF
-    refuses.
-    """
+    """A sum with its members' common delay and response. Where they differ the FRF refuses it."""
     key = join("channels", name)
     try:
         terms = expand(sums, name)
@@ -295,9 +293,7 @@ def _sum_channel(
 
 
 def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, calibrations.Certified | None]:
-    """A channel with the number of its certificate in place of the reference to it, and what else that
-    states.
-    """
+    """A channel with the number of its certificate in place of the reference, and what that states."""
     entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
     if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:
         return node, None
@@ -384,9 +380,7 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
 
 
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
-    """Recorded SI unit per SI unit of the quantity. "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a
-    calibration.
-    """
+    """Recorded SI unit per SI unit of the quantity: "8 V/mm", the reciprocal "5.8 N/V", or FILE#FIT."""
     if "#" in text:
         slope = calibrations.calibrated_slope(text, node.folder_of("sensitivity"))
         text = f"{slope.value!r} {slope.unit}"

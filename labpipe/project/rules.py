@@ -1,6 +1,4 @@
-"""The rules of ``accept:`` and ``expect:``: what a result must meet, read from "fit.parameter: rule", or from
-limits with the rule by which is decided.
-"""
+"""The rules of ``accept:`` and ``expect:``, read from "fit.parameter: rule", or from limits."""
 
 from __future__ import annotations
 

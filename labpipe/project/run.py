@@ -109,9 +109,7 @@ def _run_many(
 def measure_tests(
     pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
 ) -> Measured:
-    """ingest and frf of every test, and of several tests the fits named in *fits*. Ready responses are read
-    as they are.
-    """
+    """ingest and frf of every test, ready responses as they are; of several tests also the named *fits*."""
     with staging_folder(existing_home(output.target)) as scratch:
         of_tests = fits if len(pipeline.tests) >= MANY else ()
         jobs = _jobs(pipeline, output.target, scratch, of_tests, manner)

@@ -81,9 +81,7 @@ def record_of_runs(folder: Path) -> Path | None:
 
 @contextmanager
 def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
-    """Record a run with results in a folder: of what the caller puts into the list, or as failed. Nothing
-    where no record was begun.
-    """
+    """Record a run, where a record was begun: of what the caller puts into the list, or as failed."""
     made: list[Identification] = []
     try:
         yield made
@@ -174,9 +172,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
 
 
 def faults_of_record(path: Path) -> list[str]:
-    """What does not hold of a record: lines changed, removed or put in, results that are not of their last
-    run.
-    """
+    """What does not hold: lines changed, removed or put in, results not of their last run."""
     runs = runs_of(path)
     faults = [] if runs and runs[0].outcome == BEGUN else ["its beginning was removed"]
     previous = NOTHING

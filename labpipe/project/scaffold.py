@@ -1,7 +1,4 @@
-"""A project from a recording: rig.yaml and pipeline.yaml, marked where a person must decide.
-
-And the shipped examples.
-"""
+"""A project from a recording: rig.yaml and pipeline.yaml, marked where a person must decide."""
 
 from __future__ import annotations
 
@@ -78,10 +75,7 @@ class Scaffold:
 
 
 def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
-    """The project in *folder* for recordings, or for FRFs, which need no rig file.
-
-    DataError for a file that cannot be read.
-    """
+    """The project in *folder* for recordings, or for FRFs, without a rig. DataError for unreadable files."""
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         try:

@@ -1,6 +1,4 @@
-"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, made from the same settings that read
-them.
-"""
+"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, from the settings that read them."""
 
 from __future__ import annotations
 
@@ -154,9 +152,7 @@ def bearing_schema() -> dict[str, Any]:
 def of_kinds(
     title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others.
-    *above*: further entries.
-    """
+    """A mapping whose entry *key* names its kind, and settings of all kinds. *above*: further entries."""
     options = []
     for name, owner in kinds.items():
         schema = object_schema(owner)

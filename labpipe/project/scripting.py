@@ -1,6 +1,4 @@
-"""Interface for scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as
-tables.
-"""
+"""For scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as tables."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""From a YAML mapping to a settings dataclass, by its declared settings alone.
-
-Every fault at its place, all in one pass.
-"""
+"""From a YAML mapping to a settings dataclass by its declared settings; all faults in one pass."""
 
 from __future__ import annotations
 
@@ -27,9 +24,7 @@ from labpipe.registry import Registry, nearest
 
 
 class Faults:
-    """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files
-    that it names are relative.
-    """
+    """The faults of one file; `raise_any` ends the pass. *folder*: to which its paths are relative."""
 
     def __init__(self, folder: Path = Path()) -> None:
         self.folder = folder
@@ -50,9 +45,7 @@ class Faults:
         self.add(node, key, error.what, error.hint)
 
     def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
-        """A fault of the settings that a mapping holds, at the entry that the error names, else at the
-        mapping itself.
-        """
+        """A fault of a mapping's settings, at the entry that the error names, else at the mapping."""
         entry = node.content.get(error.field, node) if isinstance(node.content, dict) else node
         self.add(entry, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
 
@@ -65,9 +58,7 @@ class Faults:
     def unknown_keys(
         self, node: Marked, key: str, allowed: Iterable[str], meanings: Mapping[str, str] | None = None
     ) -> None:
-        """A fault for every key that is not *allowed*, with the nearest allowed one, or the one whose meaning
-        names it.
-        """
+        """A fault for every key not *allowed*, with the nearest, or the one whose meaning names it."""
         for name, entry in node.content.items():
             if name not in allowed:
                 self.add(entry, join(key, name), "unknown key", _meant(name, allowed, meanings or {}))
@@ -92,9 +83,7 @@ TYPED = 0.75
 
 
 def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
-    """The hint for an unknown key: the allowed one spelt nearly so, else the only one whose meaning begins
-    so.
-    """
+    """The hint for an unknown key: one spelt nearly so, else the only one whose meaning begins so."""
     stem = name.lower().rstrip("s")
     by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
     if len(stem) <= 3 or len(by_meaning) != 1 or difflib.get_close_matches(name, list(allowed), 1, TYPED):
@@ -134,9 +123,7 @@ def _plain(node: Marked, by_content: bool) -> Any:
 
 @dataclass(frozen=True)
 class Reading:
-    """A pass over a pipeline file; *names*: those of the sections that were read before, by which rules
-    address them.
-    """
+    """A pass over a pipeline file; *names*: of sections read before, by which rules address them."""
 
     faults: Faults
     rig: Rig | None
@@ -154,9 +141,7 @@ PATH = FileKind(lambda path: path)
 
 
 def named_files(settings: Any, folder: Path) -> Iterator[Path]:
-    """Every file that settings name, nested settings too, and the files that those name; *folder*: of the
-    file that holds the settings.
-    """
+    """Every file that settings and nested ones name, relative to *folder*, and the files of those."""
     for name, (setting, _) in settings_of(type(settings)).items():
         value = getattr(settings, name)
         if setting.kind == "file" and value:
@@ -253,9 +238,7 @@ def _instance(
 
 
 def in_one_line(node: Marked, kind: str = "value") -> Marked:
-    """A number of a *kind* of setting in its long form {value, std | limits | expanded, shape, k, dof,
-    source} as its text.
-    """
+    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as its text."""
     if kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
     parts = {name: part.text for name, part in node.content.items()}
@@ -334,9 +317,7 @@ def _content(node: Marked, name: str | None, setting: Setting, key: str, faults:
 
 
 def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
-    """The files that a path or glob names, sorted; a fault when there is none. *elsewhere*: they may be
-    objects of a storage, by URL.
-    """
+    """The sorted files of a path or glob; a fault for none. *elsewhere*: URLs of objects may be."""
     if not node.text:
         faults.add(node, key, "a file name is needed")
         return []
@@ -384,9 +365,7 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
 
 
 def glob_matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether a path is of a glob, both part by part: '**' stands for any folders. What begins with a point
-    is hidden, as on a disk.
-    """
+    """Whether a path is of a glob, part by part: '**' is any folders, hidden ones as on a disk."""
     if not pattern or not names:
         return not names and all(part == "**" for part in pattern)
     hidden = names[0].startswith(".") and not pattern[0].startswith(".")

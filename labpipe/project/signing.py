@@ -172,9 +172,7 @@ def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper:
 
 
 def members_of(path: Path) -> dict[str, str]:
-    """The digests (SHA-256) of the files in an archive by their names, by which a change is named; none of
-    what is no archive.
-    """
+    """The SHA-256 of the files in an archive by their names, to name a change; none of other files."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in archive.namelist()}

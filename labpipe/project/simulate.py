@@ -25,9 +25,7 @@ from labpipe.simulate import virtual_rigs
 
 
 def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> virtual_rigs.VirtualRig:
-    """The settings of a virtual rig file, of the class of its kind. ConfigErrors with every fault at its
-    place.
-    """
+    """The settings of a virtual rig file. ConfigErrors with every fault at its place."""
     tree = load_marked(path, overrides)
     faults = Faults(path.parent)
     entries = faults.mapping(tree, "")
@@ -68,9 +66,7 @@ def simulate_files(
 
 
 def _write_table(path: Path, table: virtual_rigs.LoggedTable) -> None:
-    """Text with six significant digits, which is what a 16-bit logger holds and more. Parquet as the table
-    says.
-    """
+    """Text with six significant digits, more than a 16-bit logger holds; Parquet as the table says."""
     if table.text:
         rounded = {
             title: arrow_array(np.array([float(f"{value:.6g}") for value in values]))

@@ -175,9 +175,7 @@ _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
 
 
 def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level. Threshold is the noise level of the
-    success limit.
-    """
+    """A rule on "fit[noise].item", or all noise levels; threshold is the noise of the success limit."""
     match = _STUDIED.match(rule.item)
     if match is None:
         raise rule.fault("is no address", "write study.fit[1 %].coverage")

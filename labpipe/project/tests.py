@@ -43,9 +43,7 @@ class ReadyFrf:
 
 
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The responses of the entry *key*: a file, a description, or a list; faults for those that cannot be
-    read.
-    """
+    """The responses of the entry *key*: a file, a description, or a list; faults for unreadable ones."""
     frfs: list[ReadyFrf] = []
     for entry in settings_reader.listed(node):
         if isinstance(entry.content, dict):
@@ -159,9 +157,7 @@ def read_rig(node: Marked | None, faults: settings_reader.Faults, key: str) -> R
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reads the entries of recordings: *rig* is the rig that the pipeline names for all of them in
-    *rig_node*.
-    """
+    """Reads entries of recordings; *rig*: the one that the pipeline names for all in *rig_node*."""
 
     rig: Rig | None
     rig_node: Marked | None
@@ -297,9 +293,7 @@ class EachFile:
         return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
-        """The test of a recording, by default named after its file. ConfigError for a name that does not
-        match the pattern.
-        """
+        """The test of a recording, named after its file. ConfigError where the pattern does not match."""
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
@@ -309,9 +303,7 @@ class EachFile:
 
 @dataclass(frozen=True)
 class TestReader:
-    """Reads the tests of one pipeline file: *top* are its entries, *rig* the rig that it names for all
-    recordings.
-    """
+    """Reads the tests of a pipeline file by its entries *top*; *rig*: the one named for all recordings."""
 
     top: dict[str, Marked]
     rig: Rig | None
@@ -346,9 +338,7 @@ class TestReader:
             yield self._test(name, node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, named after it; files that differ only in the parts named by `together` are
-        recordings of one test.
-        """
+        """One test per file; files that differ in the parts of `together` alone are one test."""
         per_file = self._each(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
@@ -427,9 +417,7 @@ class TestReader:
         return repeats
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
-        """The pipeline's frf: with the entries that the test itself gives. An entry without a value takes
-        that of the pipeline away.
-        """
+        """The pipeline's frf: with the test's own entries. One without a value takes it away."""
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}

@@ -1,6 +1,4 @@
-"""verify: whether a folder of artefacts holds what labpipe wrote, and whether the files that it was made from
-are still the same.
-"""
+"""verify: whether artefacts are what labpipe wrote, and the files they were made from still the same."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ ABOVE = 3
 
 @dataclass(frozen=True)
 class Verified:
-    """One artefact as it was found. faults: what does not hold; remarks: what could not be compared; inputs:
-    found the same.
-    """
+    """One artefact: faults do not hold, remarks could not be compared, inputs were found the same."""
 
     path: Path
     faults: tuple[str, ...] = ()
@@ -174,9 +170,7 @@ def _digest(name: str, folders: Sequence[Path]) -> str | None:
 
 
 def pipeline_folder(path: Path) -> Path | None:
-    """The folder of the pipeline that made a result, where a file of its name stands in one above or beside
-    it.
-    """
+    """The folder of a result's pipeline, where a file of its name stands above or beside it."""
     try:
         name = read_identification(path / NAME if path.is_dir() else path).pipeline
     except DataError:

@@ -34,9 +34,7 @@ from labpipe.records.identification import Failed
 
 @dataclass(frozen=True)
 class Arrived:
-    """A recording in the watched folder, with what shows whether it still changes; *marked*: a file beside it
-    says that it is complete.
-    """
+    """A recording that may still change; *marked*: a file beside it says that it is complete."""
 
     path: Path
     size: int
@@ -45,9 +43,7 @@ class Arrived:
 
 
 def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
-    """The files of readable kinds whose names fit the glob *names*, without hidden ones; *marker*: ending of
-    the files that mark others.
-    """
+    """Readable files that fit the glob *names*, none hidden; *marker*: ending of files that mark others."""
     for arrival in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
         if plain_suffix(arrival.path) in READERS and not any(
             part.startswith(".") for part in arrival.path.relative_to(folder).parts
@@ -141,10 +137,7 @@ class Watch:
         self._summary = DatasetSummary()
 
     def run(self) -> DatasetSummary:
-        """Watch until stopped, or once: what all tests say.
-
-        ConfigError for results of other settings, DataError for damaged ones.
-        """
+        """Watch until stopped. ConfigError for other settings' results, DataError for damaged ones."""
         self._resume()
         while True:
             complete = list(self._complete())
@@ -165,10 +158,7 @@ class Watch:
             self.sleep(min(0.2, self.settings.every))
 
     def _resume(self) -> None:
-        """What earlier watches did, by the dataset.
-
-        The move of a bad recording that a kill cut short is finished.
-        """
+        """What earlier watches did; the move of a bad recording that a kill cut short is finished."""
         before = self.results / NAME
         if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
@@ -187,9 +177,7 @@ class Watch:
             self._write_index()
 
     def _complete(self) -> Iterator[Arrived]:
-        """New recordings that are complete: marked so, or neither longer nor later than at the last look, and
-        old enough.
-        """
+        """New recordings that are marked complete, or old enough and the same as at the last look."""
         seen: dict[Path, Arrived] = {}
         self.counts.arriving = 0
         for arrived in self._arrived():
@@ -239,10 +227,7 @@ class Watch:
                     return
 
     def _job(self, path: Path, scratch: Path) -> Job:
-        """The work on a recording.
-
-        LabpipeError for one that is no test, or whose results would take the place of another one's.
-        """
+        """The work on a recording. LabpipeError for no test, or results in place of another one's."""
         assert self.pipeline.rig is not None
         test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
         name = Path(fits_file_name(test.name)).stem
