@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,12 +74,9 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
     """A recording or FRF as a universal file; of a result its mode shapes (records 15, 82 and 55)."""
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
-        return
-    _refuse_tables(artefact, "a universal file")
-    if artefact.name.endswith(RECORDING_SUFFIX):
-        write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
-        write_frf_uff(target, measured_files.read_response(artefact), binary)
+        writers = partial(write_recording_uff, binary=binary), partial(write_frf_uff, binary=binary)
+        _write_measured(artefact, target, "a universal file", *writers)
 
 
 def write_uff58b(artefact: Path, target: Path) -> None:
@@ -90,11 +88,7 @@ def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
-    _refuse_tables(artefact, "a MATLAB file")
-    if artefact.name.endswith(RECORDING_SUFFIX):
-        write_recording_mat(target, open_recording(artefact).in_memory())
-    else:
-        write_frf_mat(target, measured_files.read_response(artefact))
+    _write_measured(artefact, target, "a MATLAB file", write_recording_mat, write_frf_mat)
 
 
 def write_shapes(artefact: Path, target: Path) -> None:
@@ -131,11 +125,8 @@ def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
     for fit in fits:
         modes = fit.detail(Modes)
         assert modes is not None
-        places = (
-            modes.geometry.positions[[modes.geometry.place(dof)[0] for dof in modes.dofs]]
-            if modes.geometry
-            else None
-        )
+        geometry = modes.geometry
+        places = geometry.positions[[geometry.place(dof)[0] for dof in modes.dofs]] if geometry else None
         for mode, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
             for n, point in enumerate(modes.points):
                 head = {"fit": fit.name, "test": fit.test, "mode": mode + 1}
@@ -168,7 +159,10 @@ def decay_table(artefact: Path) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _refuse_tables(artefact: Path, what: str) -> None:
+def _write_measured(
+    artefact: Path, target: Path, what: str, recording: Callable[..., None], frf: Callable[..., None]
+) -> None:
+    """Write by the writer of recordings or of FRFs; DataError for what only tables hold."""
     tables = {
         measured_files.SPECTRA_SUFFIX: "spectra of all channels",
         measured_files.DECAY_SUFFIX: "free decays",
@@ -176,6 +170,10 @@ def _refuse_tables(artefact: Path, what: str) -> None:
     for suffix, name in tables.items():
         if artefact.name.endswith(suffix):
             raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
+    if artefact.name.endswith(RECORDING_SUFFIX):
+        recording(target, open_recording(artefact).in_memory())
+    else:
+        frf(target, measured_files.read_response(artefact))
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:
@@ -302,9 +300,8 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     fits = robust_fits(artefact)
     if len(fits) > 1:
         named = ", ".join(f"{fit.name} {fit.test}".strip() for fit in fits)
-        raise DataError(
-            f"holds {len(fits)} plants ({named}), a MATLAB file holds one", artefact, "--to band writes all"
-        )
+        what = f"holds {len(fits)} plants ({named}), a MATLAB file holds one"
+        raise DataError(what, artefact, "--to band writes all")
     plant = fits[0].detail(RobustPlant)
     assert plant is not None
     same = ("nominal", "radius", "weight", "overbound", "confidence")
@@ -337,9 +334,8 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
             full = (samples / np.max(np.abs(samples))).astype(np.float32)
             scipy.io.wavfile.write(target, round(sample_rate), full)
             return
-        table = pa.table(
-            {"t [s]": arrow_array(np.arange(samples.size) / sample_rate), column: arrow_array(samples)}
-        )
+        times = np.arange(samples.size) / sample_rate
+        table = pa.table({"t [s]": arrow_array(times), column: arrow_array(samples)})
         if suffix == ".parquet":
             pq.write_table(table, target)
         else:
@@ -421,8 +417,7 @@ def _statement(owner: ET.Element, outcome: RuleOutcome) -> None:
     declared = f"{outcome.section}: {outcome.rule}; {outcome.found}"
     _child(_child(owner, "declaration"), "content", declared)
     word = "pass" if outcome.passed else "fail"
-    if outcome.decision is not None:
-        word = outcome.decision.outcome
+    word = word if outcome.decision is None else outcome.decision.outcome
     _child(owner, "conformity", _CONFORMITY.get(word, word))
 
 

@@ -16,7 +16,7 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
-from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings
+from labpipe.quantities import QUANTITIES, Dimension, UnitError, parse_unit, readings
 from labpipe.raw_files.first_look import hit_starts
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import Table
@@ -72,12 +72,11 @@ class GuessedChannel:
     @property
     def decisions(self) -> tuple[str, ...]:
         """Decisions that the user must take, as text."""
+        known = QUANTITIES.get(self.quantity)
         questions = {
             "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not "
             "needed",
-            "unit": f"the unit of the recorded numbers, for example {QUANTITIES[self.quantity].si_unit}"
-            if self.quantity in QUANTITIES
-            else "the unit of the recorded numbers",
+            "unit": "the unit of the recorded numbers" + (f", for example {known.si_unit}" if known else ""),
             "sensitivity": "recorded volts per quantity, for example 8 V/mm",
         }
         decisions = tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
@@ -121,12 +120,11 @@ def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
     """
     copied: dict[str, str] = {}
     for number, name in enumerate(names):
-        for other in range(len(names)):
-            if other == number or names[other] in copied:
+        for place, other in enumerate(names):
+            if place == number or other in copied:
                 continue
-            reason = _repetition(rows[:, number], rows[:, other], other < number)
-            if reason:
-                copied[name] = f"{reason} of {names[other]}"
+            if reason := _repetition(rows[:, number], rows[:, place], place < number):
+                copied[name] = f"{reason} of {other}"
                 break
     return copied
 
@@ -176,7 +174,7 @@ def guess_channels(
         keys.append(_key(name, keys))
     guessed = [_guess(name, key, units.get(name, "")) for name, key in zip(names, keys, strict=True)]
     guessed = [_sense(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
-    if len({_node(name) for name in names if _node(name)}) > 1:
+    if len({*map(_node, names)} - {""}) > 1:
         guessed = [replace(c, dof=f"{_node(c.column)}.{c.dof}") if _node(c.column) else c for c in guessed]
     outputs = [channel for channel in guessed if channel.role == "output"]
     return [_along(channel, outputs) for channel in guessed]
@@ -235,16 +233,10 @@ def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
     match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
     if match is None or _measured_in(channel.unit) != "voltage":
         return channel
-    try:
-        dimensions = [reading.dimension for reading in readings(match[1])]
-    except UnitError:
-        return channel
-    volt = parse_unit("V").dimension
+    stated, volt = _dimensions(match[1]), parse_unit("V").dimension
     for quantity in _RECORDED:
-        wanted = tuple(
-            u - q for u, q in zip(volt, parse_unit(QUANTITIES[quantity].si_unit).dimension, strict=True)
-        )
-        if wanted in dimensions and quantity != "voltage":
+        wanted = tuple(u - q for u, q in zip(volt, _si_dimension(quantity), strict=True))
+        if wanted in stated and quantity != "voltage":
             role = DEFAULT_ROLES.get(quantity, "reference")
             return replace(channel, quantity=quantity, role=role, sensitivity=sensitivity.strip(), guess="")
     return channel
@@ -252,14 +244,20 @@ def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
 
 def _measured_in(unit: str) -> str:
     """The quantity that is recorded in a unit; nothing for a number or an unknown unit."""
-    if not unit:
-        return ""
+    dimensions = _dimensions(unit)
+    return next((name for name in _RECORDED if _si_dimension(name) in dimensions), "")
+
+
+def _si_dimension(quantity: str) -> Dimension:
+    return parse_unit(QUANTITIES[quantity].si_unit).dimension
+
+
+def _dimensions(unit: str) -> list[Dimension]:
+    """The dimensions that a unit can have; none for an unknown one."""
     try:
-        dimensions = [reading.dimension for reading in readings(unit)]
+        return [reading.dimension for reading in readings(unit)]
     except UnitError:
-        return ""
-    matching = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension in dimensions)
-    return next(matching, "")
+        return []
 
 
 def _node(name: str) -> str:
@@ -338,10 +336,9 @@ def peaks_of(mobility: FloatArray) -> IntArray:
     places = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:])) + 1
     apart, kept = max(y.size // 400, 1), np.ones(places.size, bool)
     for n in np.argsort(y[places])[::-1]:
-        near = np.abs(places - places[n]) < apart
-        near[n] = False
         if kept[n]:
-            kept[near] = False
+            kept &= np.abs(places - places[n]) >= apart
+            kept[n] = True
     return np.array([k for k in places[kept] if _prominence(y, int(k)) >= STANDS_OUT], np.intp)
 
 

@@ -5,7 +5,7 @@ the plain Python value. ``--set`` edits it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -51,6 +51,11 @@ class Marked:
         if isinstance(self.content, list):
             return [node.plain() for node in self.content]
         return self.content
+
+
+def text_of(entries: Mapping[str, Marked], name: str, default: str = "") -> str:
+    """The text of an entry, the default where it is not there."""
+    return entries[name].text if name in entries else default
 
 
 class _Loader(yaml.SafeLoader):
@@ -104,7 +109,7 @@ def parse_marked(text: str, name: str) -> Marked:
         node = _compose(text) if len(text) <= MOST_KEPT else _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
+        place = _place(mark, name) if mark else name
         raise ConfigError(f"not valid YAML: {error.problem or error.context}", place) from None
     except RecursionError:
         raise ConfigError("not valid YAML: nested too deeply", name) from None

@@ -12,7 +12,7 @@ from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
-from labpipe.project.marked_yaml import Marked, load_marked
+from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
 from labpipe.project.tests import SINGLE, EachFile, SourceFile, Test, TestReader, read_rig
@@ -172,7 +172,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
             owner = model_kind(model).settings
             assert owner is not None
             presets["model_settings"] = read_settings(owner, entries[entry], join(key, entry), faults)
-    rig, named = reading.rig, entries["model"].text if "model" in entries else ""
+    rig, named = reading.rig, text_of(entries, "model")
     takes_mass = "mass" not in entries and named in MODELS and "mass" in model_kind(named).keys
     if rig is not None and rig.mass is not None and takes_mass:
         uncertain = () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),)
@@ -185,7 +185,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
     """The entries of a fit, with the settings of a model that needs no section moved into its section."""
-    model = entries["model"].text if "model" in entries else ""
+    model = text_of(entries, "model")
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:
         return entries
@@ -222,7 +222,7 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
     if name in reading.names:
         faults.add(node, key, "a fit or calibration has this name already", "rules could not tell them apart")
     entries, before = faults.mapping(node, key), len(faults)
-    kind = entries["kind"].text if "kind" in entries else ""
+    kind = text_of(entries, "kind")
     comparison = comparison_kind(kind) if kind in COMPARISONS else None
     presets: dict[str, Any] = {"name": name}
     if comparison is not None and comparison.settings is not None and comparison.section in entries:
@@ -378,7 +378,7 @@ def _load(
     rules = tuple(
         rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
     )
-    results = entries["results"].text if "results" in entries else "whole"
+    results = text_of(entries, "results", "whole")
     # Of files written before: by the number of tests.
     results = "whole" if results == "auto" else results
     if results not in RESULTS:
@@ -390,7 +390,7 @@ def _load(
     assert report is not None
     return Pipeline(
         path,
-        title=(entries["title"].text if "title" in entries else "") or path.stem,
+        title=text_of(entries, "title") or path.stem,
         tests=tests,
         frf=frf,
         report=report,

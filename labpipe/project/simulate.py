@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from labpipe.artefacts.parquet import arrow_array
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.project.marked_yaml import load_marked
+from labpipe.project.marked_yaml import load_marked, text_of
 from labpipe.project.measured import file_stems
 from labpipe.project.settings_reader import Faults, read_settings
 from labpipe.raw_files.frf_csv import write_frf_csv
@@ -26,14 +26,12 @@ from labpipe.simulate import virtual_rigs
 
 def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> virtual_rigs.VirtualRig:
     """The settings of a virtual rig file. ConfigErrors with every fault at its place."""
-    tree = load_marked(path, overrides)
-    faults = Faults(path.parent)
+    tree, faults = load_marked(path, overrides), Faults(path.parent)
     entries = faults.mapping(tree, "")
-    kind = entries["kind"].text if "kind" in entries else ""
+    kind, kinds = text_of(entries, "kind"), virtual_rigs.VIRTUAL_RIGS.names()
     if not kind:
-        faults.add(tree, "kind", "is missing", f"known: {', '.join(virtual_rigs.VIRTUAL_RIGS.names())}")
-    elif kind not in virtual_rigs.VIRTUAL_RIGS.names():
-        kinds = virtual_rigs.VIRTUAL_RIGS.names()
+        faults.add(tree, "kind", "is missing", f"known: {', '.join(kinds)}")
+    elif kind not in kinds:
         faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, kinds))
     faults.raise_any()
     chosen: virtual_rigs.VirtualRigKind = virtual_rigs.VIRTUAL_RIGS.load(kind)

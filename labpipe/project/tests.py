@@ -10,7 +10,7 @@ from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
 from labpipe.project import settings_reader
 from labpipe.project.ingest import is_recording
-from labpipe.project.marked_yaml import Marked
+from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig
@@ -218,7 +218,7 @@ class RecordingReader:
         return sources
 
     def _by(self, entry: Marked, key: str) -> str:
-        by = entry.content["by"].text if "by" in entry.content else ""
+        by = text_of(entry.content, "by")
         if "by" in entry.content and by not in BY:
             self.faults.add_at(entry.content, key, "by", f"unknown '{by}'", f"known: {', '.join(BY)}")
         return by
@@ -334,8 +334,7 @@ class TestReader:
         if "each" in entries:
             yield from self._tests_per_file(entries, key)
         else:
-            name = entries["name"].text if "name" in entries and entries["name"].text else str(number)
-            yield self._test(name, node, key)
+            yield self._test(text_of(entries, "name") or str(number), node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
         """One test per file; files that differ in the parts of `together` alone are one test."""
@@ -359,7 +358,7 @@ class TestReader:
 
     def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
         common, recorded = self._conditions(entries, key)
-        pattern = entries["pattern"].text if "pattern" in entries else ""
+        pattern = text_of(entries, "pattern")
         for name in (*common, *recorded):
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"
@@ -384,7 +383,7 @@ class TestReader:
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
         if "together" not in entries:
             return []
-        pattern = entries["pattern"].text if "pattern" in entries else ""
+        pattern = text_of(entries, "pattern")
         parts = [node.text for node in settings_reader.listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
@@ -411,7 +410,7 @@ class TestReader:
         return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, frf, repeats)
 
     def _repeats(self, entries: dict[str, Marked], key: str) -> str:
-        repeats = entries["repeats"].text if "repeats" in entries else ""
+        repeats = text_of(entries, "repeats")
         if "repeats" in entries and repeats not in REPEATS:
             self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
         return repeats
