@@ -12,9 +12,10 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO
 
@@ -95,9 +96,8 @@ def _digest(member: Member) -> Member:
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
-        raise DataError(
-            what, folder / IDENTIFICATION, "run `labpipe run` again, or make the archive with that build"
-        )
+        hint = "run `labpipe run` again, or make the archive with that build"
+        raise DataError(what, folder / IDENTIFICATION, hint)
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):
         # With the conditions as the recordings showed them.
@@ -113,14 +113,11 @@ def _names_of_result(folder: Path, identification: Identification, pipeline: Pip
     """The artefacts of this very result by their names; what earlier pipelines left in the folder is none."""
     named = [reference["path"] for reference in identification.inputs]
     named.extend(name for test in pipeline.tests for name in files_of_test(test.name))
-    files_there = [
-        name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts
-    ]
-    measured = [name for name in files_there if name.endswith(".parquet") and "/" not in name]
-    recordings = [
-        f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs
-    ]
-    return sorted({IDENTIFICATION, *files_there, *filter(lambda name: (folder / name).is_file(), recordings)})
+    there = {name for name in named if (folder / name).is_file() and ".." not in Path(name).parts}
+    measured = [name for name in there if name.endswith(".parquet") and "/" not in name]
+    inputs = [reference.path for name in measured for reference in header_of(folder / name).inputs]
+    recordings = (f"recordings/{name}" for name in inputs)
+    return sorted({IDENTIFICATION, *there, *(name for name in recordings if (folder / name).is_file())})
 
 
 def _role_of_result(name: str) -> str:
@@ -230,9 +227,8 @@ def check_output(path: Path) -> None:
     if path.suffix.lower() not in (ZIP, ELN):
         raise ConfigError(f"no archive has the ending '{path.suffix}'", path, f"known: {ZIP}, {ELN}")
     if path.exists():
-        raise ConfigError(
-            "is there already", path, "name another file, or remove this one; an archive is never replaced"
-        )
+        hint = "name another file, or remove this one; an archive is never replaced"
+        raise ConfigError("is there already", path, hint)
 
 
 def write_archive(contents: Contents, path: Path, date: str) -> None:
@@ -241,27 +237,29 @@ def write_archive(contents: Contents, path: Path, date: str) -> None:
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
     with output_file(path) as target, zipfile.ZipFile(target, "x") as archive:
         for member in (member for member in contents.members if member.kept):
-            digest = hashlib.sha256()
-            with (
-                member.path.open("rb") as source,
-                _open(archive, around + member.name, member.size or 0) as goal,
-            ):
-                while chunk := source.read(CHUNK):
-                    digest.update(chunk)
-                    goal.write(chunk)
-            if digest.hexdigest() != member.sha256:
+            name, size = around + member.name, member.size or 0
+            with member.path.open("rb") as source, _open(archive, name, size) as goal:
+                sha256 = _copy(iter(partial(source.read, CHUNK), b""), goal)
+            if sha256 != member.sha256:
                 raise DataError("changes while it is archived", member.path, "try again when it is finished")
         content = metadata(contents, date)
         with _open(archive, around + NAME, len(content)) as goal:
             goal.write(content)
 
 
-@contextmanager
-def _open(archive: zipfile.ZipFile, name: str, size: int) -> Iterator[IO[bytes]]:
+def _open(archive: zipfile.ZipFile, name: str, size: int) -> IO[bytes]:
     info = zipfile.ZipInfo(name, EPOCH)
     info.create_system, info.external_attr, info.file_size = 3, (stat.S_IFREG | 0o644) << 16, size
-    with archive.open(info, "w") as stream:
-        yield stream
+    return archive.open(info, "w")
+
+
+def _copy(chunks: Iterable[bytes], goal: IO[bytes]) -> str:
+    """Write the chunks; the SHA-256 of them all."""
+    digest = hashlib.sha256()
+    for chunk in chunks:
+        digest.update(chunk)
+        goal.write(chunk)
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -282,15 +280,11 @@ class Opened:
             return f"has {info.file_size} bytes in place of {listed.size}"
         target = folder / listed.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        digest = hashlib.sha256()
         try:
             with target.open("wb") as goal:
-                for chunk in self._chunks(info):
-                    digest.update(chunk)
-                    goal.write(chunk)
+                same = _copy(self._chunks(info), goal) == listed.sha256
         except DamagedError as error:
             return error.what
-        same = digest.hexdigest() == listed.sha256
         return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
@@ -312,9 +306,8 @@ def opened(path: Path) -> Iterator[Opened]:
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
-        raise DataError(
-            f"is no ZIP file, or a damaged one ({cut(str(error))})", path, "have it sent again"
-        ) from None
+        what = f"is no ZIP file, or a damaged one ({cut(str(error))})"
+        raise DataError(what, path, "have it sent again") from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
         for info in archive.infolist():
@@ -384,8 +377,7 @@ def unpack(path: Path, folder: Path) -> Unpacked:
         listed = {file.name: file for file in crate.files}
         faults = [(name, "is not listed among the metadata") for name in archive.members.keys() - listed]
         for file in listed.values():
-            fault = archive.unpack(file, folder)
-            if fault:
+            if fault := archive.unpack(file, folder):
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)

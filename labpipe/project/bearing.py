@@ -142,10 +142,8 @@ def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) 
     coefficients = file.coefficients(settings)
     if not keys:
         return [Evaluated(point) for point in coefficients]
-    units = [setting_at(file.kind.settings, key).unit for key in keys]
-    sources = [
-        uncertainty_of(file.uncertainties[key], key, unit) for key, unit in zip(keys, units, strict=True)
-    ]
+    units = {key: setting_at(file.kind.settings, key).unit for key in keys}
+    sources = [uncertainty_of(file.uncertainties[key], key, unit) for key, unit in units.items()]
     size = 1 + 2 * len(keys)
     rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
     return [

@@ -16,7 +16,7 @@ import sqlite3
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,9 +71,8 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
         if _bring_up_to_date(connection, folder):
             _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
-            raise DataError(
-                f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
-            )
+            hint = "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
+            raise DataError(f"holds no {NAME}", folder, hint)
         yield connection
 
 
@@ -110,13 +109,10 @@ def _keep(connection: sqlite3.Connection, folder: Path) -> None:
 
     Not to a folder that may not be written.
     """
-    if (folder / INDEX).exists() and not (folder / INDEX).is_file():
-        return
-    try:
-        with output_file(folder / INDEX) as path:
+    index = folder / INDEX
+    if index.is_file() or not index.exists():
+        with suppress(DataError, OSError), output_file(index) as path:
             path.write_bytes(_stamp(connection.serialize()))
-    except (DataError, OSError):
-        return
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
@@ -204,9 +200,8 @@ def _check(row: dict[str, Any]) -> dict[str, Any]:
 def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
     low, high = parameter.ci95 or (None, None)
-    row = {
-        name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator", "random_error")
-    }
+    same = ("fit", "term", "test", "model", "estimator", "random_error")
+    row = {name: getattr(listed, name) for name in same}
     row |= {name: getattr(parameter, name) for name in ("value", "unit", "significant")}
     row |= {"parameter": parameter.name, "std_error": parameter.full_error, "ci_low": low, "ci_high": high}
     row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "date": date}
@@ -339,13 +334,10 @@ def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
     clauses, bound = _clauses(index, criteria)
     columns = [field.name for field in dataclasses.fields(ResultRow)]
-    sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
+    filled = ", ".join(f"coalesce(r.{name}, '')" for name in columns)
+    sql = f"SELECT {filled} FROM result r"
     rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY r.date, r.path", bound)
-    named = (zip(columns, row, strict=True) for row in rows)
-    entries: list[dict[str, Any]] = [
-        {name: "" if entry is None else entry for name, entry in pairs} for pairs in named
-    ]
-    return [ResultRow(**entry) for entry in entries]
+    return [ResultRow(**dict(zip(columns, row, strict=True))) for row in rows]
 
 
 def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
@@ -434,9 +426,8 @@ def split_condition(text: str) -> tuple[str, str, str]:
     """Name, sign and bound of a condition such as "preload >= 400 N"; ConfigError for what is none."""
     match = _WHERE.match(text)
     if match is None:
-        raise ConfigError(
-            f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'"
-        )
+        hint = "for example 'preload >= 400 N' or 'direction = up'"
+        raise ConfigError(f"'{text}' is not a condition", hint=hint)
     return match["name"], match["sign"], match["bound"]
 
 

@@ -98,7 +98,8 @@ def write_shapes(artefact: Path, target: Path) -> None:
 
 def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have modes; DataError where there is none."""
-    return _fits_with(Modes, artefact, "holds no mode shapes", "parameters are written as csv or parquet")
+    hint = "parameters are written as csv or parquet"
+    return tuple(fit for fit, _ in _fits_with(Modes, artefact, "holds no mode shapes", hint))
 
 
 def result_of(artefact: Path, what: str) -> Identification:
@@ -112,11 +113,13 @@ def result_of(artefact: Path, what: str) -> Identification:
     return identification
 
 
-def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
-    fits = tuple(fit for fit in result_of(artefact, what).fits if fit.detail(kind) is not None)
-    if not fits:
+def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[tuple[Fit, Any], ...]:
+    """The fits that have a detail of a kind, with it; DataError where there is none."""
+    pairs = ((fit, fit.detail(kind)) for fit in result_of(artefact, what).fits)
+    with_detail = tuple(pair for pair in pairs if pair[1] is not None)
+    if not with_detail:
         raise DataError(what, artefact, hint)
-    return fits
+    return with_detail
 
 
 def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
@@ -276,9 +279,7 @@ def write_study_csv(path: Path, study: Study) -> None:
 def write_band_csv(artefact: Path, target: Path) -> None:
     """One row per fit, line, output and input: nominal plant, radius of its band, weight and overbound."""
     tables = []
-    for fit in robust_fits(artefact):
-        plant = fit.detail(RobustPlant)
-        assert plant is not None
+    for fit, plant in _plants(artefact):
         for row, output in enumerate(plant.outputs):
             for column, input_name in enumerate(plant.inputs):
                 gain, zero, pole = plant.overbound[row, column]
@@ -296,14 +297,12 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
     overbound's k, zero and pole [Hz]. DataError for several such fits.
     """
-
-    fits = robust_fits(artefact)
-    if len(fits) > 1:
-        named = ", ".join(f"{fit.name} {fit.test}".strip() for fit in fits)
-        what = f"holds {len(fits)} plants ({named}), a MATLAB file holds one"
+    plants = _plants(artefact)
+    if len(plants) > 1:
+        named = ", ".join(f"{fit.name} {fit.test}".strip() for fit, _ in plants)
+        what = f"holds {len(plants)} plants ({named}), a MATLAB file holds one"
         raise DataError(what, artefact, "--to band writes all")
-    plant = fits[0].detail(RobustPlant)
-    assert plant is not None
+    plant = plants[0][1]
     same = ("nominal", "radius", "weight", "overbound", "confidence")
     content = {letter: getattr(plant, letter.lower()) for letter in "ABCD"}
     content |= {"frequency_hz": plant.frequency} | {name: getattr(plant, name) for name in same}
@@ -311,8 +310,7 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     scipy.io.savemat(target, content)
 
 
-def robust_fits(artefact: Path) -> tuple[Fit, ...]:
-    """The fits of a result that have a plant; DataError where there is none."""
+def _plants(artefact: Path) -> tuple[tuple[Fit, RobustPlant], ...]:
     hint = "of fits of the model magnet, with one run per axis at least"
     return _fits_with(RobustPlant, artefact, "holds no plant", hint)
 

@@ -288,10 +288,8 @@ def _rate_of_times(screen: TimeAxisScreen, table: Table) -> float:
 def _check_unit(table: Table, channel: RigChannel) -> None:
     stated = table.units.get(channel.column)
     if stated is not None and not may_agree(stated, channel.unit):
-        what = (
-            f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
-            "the rig file"
-        )
+        by_rig = f"in {channel.unit} by the rig file"
+        what = f"column '{channel.column}' is in {stated} by the file's own header, {by_rig}"
         raise DataError(what, table.path, f"correct the unit of channel '{channel.channel.name}'")
 
 
@@ -309,11 +307,8 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     names: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for path in paths:
-        stem = (
-            path.name.removesuffix(recording_file.SUFFIX)
-            if path.name.endswith(recording_file.SUFFIX)
-            else path.stem
-        )
+        stem = path.name.removesuffix(recording_file.SUFFIX)
+        stem = path.stem if stem == path.name else stem
         name, number = stem, numbers.get(stem, 1)
         while name in names:
             number += 1

@@ -73,9 +73,8 @@ def format_of(path: Path) -> str:
     if path.exists() and not path.is_file():
         return "html"
     if suffix not in SUFFIX_FORMATS:
-        raise ConfigError(
-            f"no report format for the ending '{suffix}'", path, f"known: {', '.join(SUFFIX_FORMATS)}"
-        )
+        hint = f"known: {', '.join(SUFFIX_FORMATS)}"
+        raise ConfigError(f"no report format for the ending '{suffix}'", path, hint)
     return SUFFIX_FORMATS[suffix]
 
 
@@ -106,13 +105,14 @@ def write_test_report(
 
     if identification.dataset is not None:
         identification = one_of_many(identification, results or path.parent, test)
-    _write_document(build(identification, test), path, figures)
+    write_document(build(identification, test), path, figures)
 
 
-def _write_document(document: Any, path: Path, figures: Path | None) -> None:
+def write_document(document: Any, path: Path, figures: Path | None = None) -> None:
+    """Write a document in the format that the ending asks for; *figures*: a folder for them as files."""
     from labpipe.document.charts import figure_files
 
-    content: bytes = renderer_of("DOCUMENTS", format_of(path))(document)
+    content = renderer_of("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
 
@@ -139,17 +139,14 @@ def write_reports(
     with output_folder(target) as folder:
         for name in stale:
             tell(f"report    report.{name}")
-            folder.write_path(f"report.{name}").write_bytes(
-                stamp(_draw(identification, target, name), source, name)
-            )
+            content = stamp(_draw(identification, target, name), source, name)
+            folder.write_path(f"report.{name}").write_bytes(content)
 
 
 def _draw(identification: Identification, folder: Path, report_format: str) -> bytes:
     if identification.dataset is None:
-        content: bytes = renderer_of("RENDERERS", report_format)(identification)
-    else:
-        content = renderer_of("DOCUMENTS", report_format)(_summary(identification, folder))
-    return content
+        return renderer_of("RENDERERS", report_format)(identification)
+    return renderer_of("DOCUMENTS", report_format)(_summary(identification, folder))
 
 
 def _summary(identification: Identification, folder: Path) -> Any:
@@ -174,16 +171,15 @@ def write_campaign(
     """Write the report of many results (name, identification): trends, control limits, differences."""
     from labpipe.report.campaign import campaign_document
 
-    _write_document(campaign_document(results), path, figures)
+    write_document(campaign_document(results), path, figures)
 
 
 def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes]:
     from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
-    return figure_files(
-        build(identification) if identification.dataset is None else _summary(identification, folder)
-    )
+    whole = identification.dataset is None
+    return figure_files(build(identification) if whole else _summary(identification, folder))
 
 
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from labpipe.errors import ConfigError
 from labpipe.project import calibrations
-from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
-from labpipe.project.marked_yaml import Marked, load_marked
+from labpipe.project.derived_channels import SumReader, expand, read_constants
+from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.frf_csv import port_of
@@ -195,10 +195,13 @@ def _read_channels(
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
     entries = faults.mapping(node, "channels")
-    mappings = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict)}
-    sums = {name: entry for name, entry in mappings.items() if "derived" in entry.content}
+    mappings = {name: entry.content for name, entry in entries.items() if isinstance(entry.content, dict)}
+    sums = {name: entries[name] for name, content in mappings.items() if "derived" in content}
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
-    derived = _read_sums(sums, entries, read_constants(constants, entries, faults), channels, faults)
+    stated = {name: text_of(content, "quantity") for name, content in mappings.items()}
+    quantities = {name: quantity for name, quantity in stated.items() if quantity in QUANTITIES}
+    reader = SumReader(quantities, read_constants(constants, entries, faults))
+    derived = _read_sums(sums, reader, channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
 
     def as_member(recorded: RigChannel) -> RigChannel:
@@ -227,21 +230,9 @@ def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChanne
 
 
 def _read_sums(
-    sums: dict[str, Marked],
-    entries: dict[str, Marked],
-    constants: dict[str, Factor],
-    recorded: list[RigChannel],
-    faults: Faults,
+    sums: dict[str, Marked], reader: SumReader, recorded: list[RigChannel], faults: Faults
 ) -> tuple[Channel, ...]:
     """The channels that are sums, written out in recorded channels."""
-    quantities = {
-        name: entry.content["quantity"].text
-        for name, entry in entries.items()
-        if isinstance(entry.content, dict)
-        and "quantity" in entry.content
-        and entry.content["quantity"].text in QUANTITIES
-    }
-    reader = SumReader(quantities, constants)
     settings: dict[str, ChannelSettings] = {}
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():

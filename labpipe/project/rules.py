@@ -166,9 +166,8 @@ def _decide(
     key = f"{section}.{address}"
     decision = _read_decision(entry, key, faults)
     if match["item"].rpartition(".")[2] in (*WORDS, "covers"):
-        faults.add(
-            entry, key, "is a word, and limits need a number", "name a parameter, for example direct.k"
-        )
+        hint = "name a parameter, for example direct.k"
+        faults.add(entry, key, "is a word, and limits need a number", hint)
         return ()
     if decision is None:
         return ()

@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from labpipe import __version__
+from labpipe.artefacts.digest import file_sha256
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import BAD_ENTRY
@@ -110,7 +111,7 @@ def _add(folder: Path, pipeline: Path, identification: Identification | None, ou
             outcome=outcome,
             pipeline=pipeline.name,
             result=result.relative_to(path.parent).as_posix(),
-            digest=_digest(result) if identification is not None else "",
+            digest=file_sha256(result) if identification is not None else "",
             inputs=tuple({"path": entry["path"], "sha256": entry["sha256"]} for entry in inputs),
         )
         with path.open("ab") as stream:
@@ -197,11 +198,5 @@ def head(path: Path) -> str:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    return {
-        path.relative_to(folder).as_posix(): _digest(path)
-        for path in sorted(without_staging(folder.rglob(NAME)))
-    }
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    results = sorted(without_staging(folder.rglob(NAME)))
+    return {path.relative_to(folder).as_posix(): file_sha256(path) for path in results}

@@ -204,10 +204,8 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
     lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
-    lines.append(
-        "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
-    )
-    return "\n".join(lines) + "\n"
+    coupled = "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
+    return "\n".join([*lines, coupled]) + "\n"
 
 
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
@@ -244,10 +242,8 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
 def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
     if len(paths) == 1:
         return [f"{kind}: {_quoted(paths[0])}"]
-    entries = (
-        f"  - {{name: {_quoted(file.stem)}, {kind}: {_quoted(path)}}}"
-        for file, path in zip(files, paths, strict=True)
-    )
+    pairs = ((_quoted(file.stem), _quoted(path)) for file, path in zip(files, paths, strict=True))
+    entries = (f"  - {{name: {name}, {kind}: {path}}}" for name, path in pairs)
     return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
 
 
@@ -295,11 +291,10 @@ def _all_fit_lines(force: str, fits: Fits, estimator: str = "ml") -> list[str]:
 def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator: str = "ml") -> list[str]:
     by_model = {
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
-        "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
+        "modal": [_remark("    model: modal", "`sdof` gives k and c where force and response meet")],
     }
     last = {"modal": [_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
-    lines = [f"  {name}:", *by_model[proposal.model]]
-    lines += [f"    input: {force}", f"    output: {output}"]
+    lines = [f"  {name}:", *by_model[proposal.model], f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band
         lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))

@@ -118,7 +118,7 @@ def _plain(node: Marked, by_content: bool) -> Any:
         return {name: _plain(entry, False) for name, entry in node.content.items()}
     if isinstance(node.content, list):
         return [_plain(entry, False) for entry in node.content]
-    return node.content if node.content is None else node.text
+    return None if node.content is None else node.text
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ LONG_KINDS = ("value", "mass", "uncertain", "text")
 SIZES = ("std", "limits", "expanded")
 LONG_FORM = ("value", *SIZES, "shape", "k", "dof", "source")
 
-# Placeholder of an entry that the user must fill in; see stages/scaffold.py.
+# Placeholder of an entry that the user must fill in, as `labpipe init` writes it.
 DECIDE = "DECIDE"
 
 
@@ -175,21 +175,17 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     node = _under_new_keys(node, key, settings)
     entries = faults.mapping(node, key)
     if entries:
-        faults.unknown_keys(
-            node, key, tuple(settings), {name: declared.help for name, (declared, _) in settings.items()}
-        )
+        meanings = {name: declared.help for name, (declared, _) in settings.items()}
+        faults.unknown_keys(node, key, meanings, meanings)
     fields: dict[str, Any] = dict(presets)
     unread: set[str] = set()
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            node_of = in_one_line(entries[name], setting.kind)
-            read = (
-                _read_uncertain
-                if takes_uncertainty(owner, setting) and is_uncertain(node_of.text)
-                else read_setting
-            )
-            fields[name] = read(node_of, setting, join(key, name), faults)
+            entry = in_one_line(entries[name], setting.kind)
+            uncertain = takes_uncertainty(owner, setting) and is_uncertain(entry.text)
+            read = _read_uncertain if uncertain else read_setting
+            fields[name] = read(entry, setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
         elif required and name not in presets:
@@ -213,11 +209,8 @@ def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting
             "this version for the last time"
         )
         warnings.warn(note, FutureWarning, stacklevel=2)
-    return (
-        replace(node, content={names.get(name, name): entry for name, entry in node.content.items()})
-        if names
-        else node
-    )
+    content = {names.get(name, name): entry for name, entry in node.content.items()}
+    return replace(node, content=content) if names else node
 
 
 def _instance(
@@ -287,11 +280,11 @@ def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
         return read_settings(setting.section, node, key, faults)
     before = len(faults)
     if setting.kind == "sections":
-        named = {
-            name: read_settings(setting.section, entry, join(key, name), faults)
+        named = [
+            (name, read_settings(setting.section, entry, join(key, name), faults))
             for name, entry in faults.mapping(node, key).items()
-        }
-        return None if len(faults) > before else tuple(named.items())
+        ]
+        return None if len(faults) > before else tuple(named)
     if not isinstance(node.content, list):
         faults.add(node, key, "a list is needed", "each entry begins with '- '")
         return None
@@ -358,9 +351,8 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
         objects = [path for path in paths if glob_matches(path.parts[plain:], pattern)]
     if not objects:
         what = "no object matches" if glob.has_magic(node.text) else "no such object"
-        faults.add(
-            node, key, f"{what} '{node.text}'", "names are those that the storage lists, capitals included"
-        )
+        hint = "names are those that the storage lists, capitals included"
+        faults.add(node, key, f"{what} '{node.text}'", hint)
     return objects
 
 

@@ -43,10 +43,8 @@ def _library(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ConfigError(
-            f"signatures need {name.partition('.')[0]}, which is not installed",
-            hint="pip install 'labpipe[sign]'",
-        ) from None
+        what = f"signatures need {name.partition('.')[0]}, which is not installed"
+        raise ConfigError(what, hint="pip install 'labpipe[sign]'") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +94,8 @@ def _check_valid(certificate: Any, where: str) -> None:
     now = datetime.datetime.now(datetime.UTC)
     begin, end = certificate.not_valid_before, certificate.not_valid_after
     if not begin <= now <= end:
-        raise ConfigError(
-            f"the certificate of {person(certificate)} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only",
-            where,
-        )
+        days = f"from {begin:%Y-%m-%d} to {end:%Y-%m-%d}"
+        raise ConfigError(f"the certificate of {person(certificate)} is valid {days} only", where)
 
 
 def person(certificate: Any) -> str:
@@ -158,9 +154,8 @@ def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper:
         raise ConfigError(f"was signed as '{role}' already", target)
     content = path.read_bytes()
     words = {"file": path.name, "role": role, "reason": reason, "members": members_of(path)}
-    settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(
-        signing_time=datetime.datetime.now(datetime.UTC)
-    )
+    now = datetime.datetime.now(datetime.UTC)
+    settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(signing_time=now)
     plain = signer._signed_attr_provider_spec(settings, timestamper, use_cades=False, is_pdf_sig=False)
     signer.signed_attr_prov_spec = _with_hints(plain, json.dumps(words, sort_keys=True))
     signature = asyncio.run(
@@ -265,9 +260,8 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
     for file in trust.revoked:
         try:
             content = file.read_bytes()
-            lists.append(
-                crl.CertificateList.load(pem.unarmor(content)[2] if pem.detect(content) else content)
-            )
+            content = pem.unarmor(content)[2] if pem.detect(content) else content
+            lists.append(crl.CertificateList.load(content))
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ConfigError(f"is no list of revoked certificates ({cut(str(error))})", file) from None

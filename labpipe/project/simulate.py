@@ -72,16 +72,13 @@ def _write_table(path: Path, table: virtual_rigs.LoggedTable) -> None:
         }
         pc.write_csv(pa.table(rounded), path, pc.WriteOptions(quoting_style="none"))
         return
-    packing: dict[str, Any] = {
-        "compression_level": table.level,
-        "use_dictionary": table.dictionary,
-        "use_byte_stream_split": table.split,
-    }
     pq.write_table(
         pa.table({title: arrow_array(values) for title, values in table.columns.items()}),
         path,
         compression="zstd",
-        **packing,
+        compression_level=table.level,
+        use_dictionary=table.dictionary,
+        use_byte_stream_split=table.split,
     )
 
 
