@@ -323,7 +323,9 @@ def test_channels_at_two_rates_in_one_recording(tmp_path: Path) -> None:
     (tmp_path / "r.lvm").write_text(
         header + "***End_of_Header***\t\t\t\nX_Value\tforce [N]\ty [um]\tComment\n" + "".join(rows)
     )
-    with pytest.raises(DataError, match=r"'y \[um\]' has another rate .* resample: RATE in the rig file"):
+    with pytest.raises(
+        DataError, match=r"'y \[um\]' lies in another group .* another rate; resample: RATE in the rig file"
+    ):
         ingested(tmp_path, tmp_path / "r.lvm", rig_file(tmp_path))
     rig = rig_file(tmp_path, head="name: R\nresample: 10 Hz\nchannels:\n")
     recording = ingested(tmp_path, tmp_path / "r.lvm", rig)
