@@ -76,9 +76,8 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
         results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
     noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
-    digests = {reference.path: reference.sha256 for reference in noted} | {
-        source["path"]: source["sha256"] for source in identification.sources
-    }
+    digests = {reference.path: reference.sha256 for reference in noted}
+    digests |= {source["path"]: source["sha256"] for source in identification.sources}
     dated = identification.dataset is not None
     main, files = _project(pipeline, digests, dated=dated, digests_only=digests_only)
     of, of_results = (tuple(map(_digest, members)) for members in (files, results))
@@ -137,9 +136,7 @@ def _role_of_result(name: str) -> str:
 def _project(
     pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool
 ) -> tuple[str, list[Member]]:
-    """The pipeline's name in the archive, and it with all files that it names. digests: of raw files by their
-    paths or URLs. dated: the result depends on the days of the recordings.
-    """
+    """The pipeline's name and its files in the archive; *digests*: of raw files; *dated*: days count."""
     raw = [path for test in pipeline.tests for path in files_of(test)]
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
@@ -381,9 +378,8 @@ def unpack(path: Path, folder: Path) -> Unpacked:
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)
-    return Unpacked(
-        folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults))
-    )
+    pipeline, results = folder / crate.pipeline, folder / RESULTS
+    return Unpacked(pipeline, results, len(listed), crate.left_out, tuple(sorted(faults)))
 
 
 def _date(file: Listed, folder: Path) -> None:

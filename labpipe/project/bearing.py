@@ -50,9 +50,7 @@ def _coefficient_text(bearing: BearingCoefficients, row: int, column: int) -> st
 def sweep_figures(
     title: str, label: str, values: FloatArray, swept: Sequence[BearingCoefficients]
 ) -> dict[str, Figure]:
-    """The figures "stiffness" and, where there is any, "damping": every coefficient over the swept entry, one
-    panel per unit. *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
-    """
+    """The figures "stiffness" and, if any, "damping" over *values* (n,) [unit of *label*: "speed [Hz]"]."""
     figures = {"stiffness": _sweep_figure(title, label, values, swept, "stiffness")}
     if any(bearing.damping.any() for bearing in swept):
         figures["damping"] = _sweep_figure(title, label, values, swept, "damping")

@@ -1,6 +1,4 @@
-"""What calibrates a channel of a rig file: a typed sensitivity, the fit of a calibration, a certificate, a
-table of the sensor's frequency response; and the uncertainties that come with it.
-"""
+"""What calibrates a channel: sensitivity, calibration fit, certificate, response; and its uncertainties."""
 
 from __future__ import annotations
 
@@ -78,9 +76,8 @@ def _of_channel(
     written: Written, effect: str, number: uncertain.Uncertain, source: str
 ) -> uncertain.ChannelUncertainty:
     unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
-    return uncertain.ChannelUncertainty(
-        effect, uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
-    )
+    uncertainty = uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
+    return uncertain.ChannelUncertainty(effect, uncertainty)
 
 
 def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
@@ -264,16 +261,13 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         if phases.std_errors is None:
             raise UnitError(f"{named} states no uncertainty of '{settings.phase}'")
         error = max(parse_value(f"{u!r} {phases.unit}", "rad") for u in phases.std_errors)
-        uncertainties.append(
-            uncertain.ChannelUncertainty("phase", uncertain.Uncertainty(f"{source}, phase", error, "rad"))
-        )
+        of_phase = uncertain.Uncertainty(f"{source}, phase", error, "rad")
+        uncertainties.append(uncertain.ChannelUncertainty("phase", of_phase))
     return Certified(f"{at!r} {stated.unit}", tuple(uncertainties), response)
 
 
 def _check_day(settings: CertificateSettings, valid_until: datetime.date | None, named: str) -> None:
-    """UnitError where the certificate is not valid on the day of the measurement. Only whether it is refused
-    depends on the day, no number does.
-    """
+    """UnitError where the certificate is not valid on the day, on which no number depends."""
     try:
         day = datetime.date.fromisoformat(settings.date) if settings.date else datetime.date.today()
     except ValueError:

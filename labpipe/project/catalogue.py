@@ -1,7 +1,5 @@
-"""Index of a results folder: an SQLite file kept up to date with the results below it, and its queries.
-
-It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged
-is made again.
+"""Index of a results folder: an SQLite file up to date with the results below it, and its queries. Read and
+written whole, it needs no lock, and a damaged one is made again.
 """
 
 from __future__ import annotations
@@ -105,10 +103,7 @@ def _stamp(database: bytes) -> bytes:
 
 
 def _keep(connection: sqlite3.Connection, folder: Path) -> None:
-    """Write the index beside the results, as a whole: several processes may do so at once.
-
-    Not to a folder that may not be written.
-    """
+    """Write the index as a whole beside the results, where that is allowed: others may do so at once."""
     index = folder / INDEX
     if index.is_file() or not index.exists():
         with suppress(DataError, OSError), output_file(index) as path:
@@ -279,10 +274,8 @@ class ResultRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
-    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric
-    ones.
-
-    random_error: standard error without what given numbers add; changes: by each of these, as JSON.
+    """One parameter of one fit [SI]; *conditions* of its test, *amounts* of the numeric ones. random_error:
+    without what given numbers add; changes: by each of these, as JSON.
     """
 
     path: str
@@ -350,9 +343,7 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
             bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
     sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
-    rows = index.execute(
-        f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound
-    ).fetchall()
+    rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound)
     of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
     for *row, number in rows:
@@ -369,9 +360,8 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
 def _conditions(
     index: sqlite3.Connection, result: int, test: str
 ) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
-    rows = index.execute(
-        "SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?", (result, test)
-    ).fetchall()
+    sql = "SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?"
+    rows = index.execute(sql, (result, test)).fetchall()
     texts = {name: text for name, text, _, _ in rows}
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
@@ -444,9 +434,8 @@ def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> t
 
 
 def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> list[str]:
-    """Those of the texts that tests have for a condition, with their *amounts*, that meet it.
-
-    ConfigError for a condition that cannot be read, or in another unit than theirs.
+    """Those of a condition's texts, with their *amounts*, that meet it. ConfigError for one that cannot be
+    read, or in another unit than theirs.
     """
     name, sign, bound = split_condition(condition)
     try:

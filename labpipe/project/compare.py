@@ -1,6 +1,4 @@
-"""The sections compare and matrix: fits of all tests held against each other, against theory, and ordered by
-conditions.
-"""
+"""The sections compare and matrix: fits of all tests against each other or theory, or by conditions."""
 
 from __future__ import annotations
 
@@ -200,9 +198,8 @@ def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
     for comparison in comparisons:
         codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
         for amount in comparison.amounts:
-            yield ListedParameter(
-                fit=comparison.name, parameter=amount, model=comparison.kind, warnings=codes
-            )
+            name, kind = comparison.name, comparison.kind
+            yield ListedParameter(fit=name, parameter=amount, model=kind, warnings=codes)
 
 
 def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:

@@ -1,9 +1,6 @@
-"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1 + sin(45 deg) *
-x_2".
-
-Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number
-with unit and uncertainty, a name of `constants:`, or the cosine or sine of an angle; the units of all factors
-and of the channel must give the unit of the sum.
+"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1". Signs between
+channels stand between blanks. A factor is a number, with unit and uncertainty or without, a name of
+`constants:`, or the cosine or sine of an angle; the units must give that of the sum.
 """
 
 from __future__ import annotations
@@ -152,14 +149,13 @@ def _parts(text: str) -> list[tuple[float, str]]:
     text = text.strip()
     if not text:
         raise UnitError("a sum of channels is missing", "for example f_x - m_s * a_x")
-    pieces = _SIGN.split(_LEADING.sub(r"\1 ", text))
-    terms = [(1.0, pieces[0])] if pieces[0].strip() else []
-    terms += [
-        (-1.0 if sign == "-" else 1.0, term) for sign, term in zip(pieces[1::2], pieces[2::2], strict=True)
-    ]
-    if not all(term.strip() for _, term in terms):
+    first, *others = map(str.strip, _SIGN.split(_LEADING.sub(r"\1 ", text)))
+    signs, terms = ["+", *others[::2]], [first, *others[1::2]]
+    pairs = [(-1.0 if sign == "-" else 1.0, term) for sign, term in zip(signs, terms, strict=True)]
+    pairs = pairs if first else pairs[1:]
+    if not all(term for _, term in pairs):
         raise UnitError(f"'{text}' lacks a term", "for example f_x - m_s * a_x")
-    return [(sign, term.strip()) for sign, term in terms]
+    return pairs
 
 
 def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:

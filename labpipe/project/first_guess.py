@@ -1,7 +1,4 @@
-"""What a file's own metadata say of its channels: quantity, unit, role, direction.
-
-What they do not say stays open.
-"""
+"""What a file's own metadata say of its channels; what they do not say stays open."""
 
 from __future__ import annotations
 
@@ -52,11 +49,8 @@ _BY_NAME = (
 
 @dataclass(frozen=True)
 class GuessedChannel:
-    """One channel of a rig file to be: *key* its name, *quantity* and *unit* or DECIDE; *sensitivity* DECIDE
-    for a sensor in volts.
-
-    *role* is empty where it follows from a quantity that is still to be decided; *guess*: what was taken from
-    the name alone.
+    """One channel of a rig file to be; *quantity*, *unit* and *sensitivity*, for volts, may be DECIDE. *role*
+    is empty where it follows from an open quantity; *guess*: what was taken from the name alone.
     """
 
     key: str
@@ -112,11 +106,8 @@ def step_of(column: FloatArray) -> float:
 
 
 def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one: why each is no channel
-    of its own.
-
-    A copy equals the other column, or is it under a window: everywhere between zero and the other, and
-    somewhere nearly equal.
+    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one, and why. A copy equals
+    the other column, or lies between zero and it, and somewhere nearly equals it: under a window.
     """
     copied: dict[str, str] = {}
     for number, name in enumerate(names):
@@ -143,9 +134,8 @@ def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
 
 
 def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | None:
-    """The warning of *measured* columns whose copies in the same file have the window that a pipeline states.
-
-    A damping that they never had is then taken off them: zeta comes out 1 / (w_n tau) too small.
+    """The warning of *measured* columns whose copies alone have the window that a pipeline states. A damping
+    that they never had is taken off them: zeta comes out 1 / (w_n tau) too small.
     """
     names, rows = first_rows(table)
     number = {name: n for n, name in enumerate(names)}
@@ -181,9 +171,8 @@ def guess_channels(
 
 
 def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
-    """The channels, where none is a force the shortest hits of an unknown quantity, or of volts, as one.
-
-    *rows* (n_sample, n_channel) [recorded units]. What a hit excites looks like one, too, and lasts longer.
+    """The channels of *rows* (n_sample, n_channel) [recorded units], where none is a force the shortest hits
+    of an unknown quantity, or of volts, as one: what a hit excites lasts longer.
     """
     lengths = {
         n: float(np.sum(signal**2) / np.max(np.abs(signal)) ** 2)
@@ -269,9 +258,8 @@ def _node(name: str) -> str:
 def _direction(name: str) -> str:
     """x, y or z where the name has one as a word or at its end."""
     plain_name = _BRACKETS.sub(" ", name)
-    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I) or re.search(
-        r"[a-z]([XYZ])\b", plain_name
-    )
+    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I)
+    match = match or re.search(r"[a-z]([XYZ])\b", plain_name)
     return match[1].lower() if match else ""
 
 
@@ -311,11 +299,9 @@ Numbers = FloatArray | ComplexArray
 
 
 def highest_peak(mobility: Numbers, coherence: FloatArray | None = None) -> tuple[int, bool]:
-    """The line of the highest peak of a *mobility* (n_line,) [1] that looks like a mode, or that the force
-    explains by its *coherence* (n_line,) [1], and whether there is one.
-
-    A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
-    follow no pole; without any it is the highest of all.
+    """The line of the highest peak of a *mobility* (n_line,) [1], and whether it looks like a mode or the
+    force explains it by its *coherence* (n_line,) [1]. Neither an end nor what hardly stands out or follows
+    no pole is one; without any it is the highest of all.
     """
     size = np.abs(mobility)
     peaks = peaks_of(size)

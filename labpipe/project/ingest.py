@@ -146,9 +146,7 @@ def named_times(table: Table) -> list[str]:
 
 
 def _check_rate(table: Table, rig: Rig) -> None:
-    """DataError where times in a unit say another rate than the rig file; few digits may change their median
-    step, gaps their mean one, and neither both.
-    """
+    """DataError for times at another rate by mean and median step, of which gaps or digits change one."""
     stated = rig.sample_rate or 0.0
     for name in named_times(table) if stated else ():
         if table.columns.count(name) > 1 or name not in table.units:
@@ -209,9 +207,8 @@ class Calibration:
             piece = slice(start, start + IN_CACHE)
             for number, column in enumerate(columns):
                 # Single precision becomes double where it is put.
-                block[piece, number] = (
-                    self.of_channel(number, column[piece]) if self._changes[number] else column[piece]
-                )
+                changes, recorded = self._changes[number], column[piece]
+                block[piece, number] = self.of_channel(number, recorded) if changes else recorded
         return block
 
     def with_sums(self, block: FloatArray) -> FloatArray:
@@ -346,9 +343,7 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
 
 class RawRecording:
-    """The channels of a raw file [SI]. Satisfies SampleSource. *findings* and digest are of the first whole
-    reading.
-    """
+    """The channels of a raw file [SI], a SampleSource. Findings and digest are of the first reading."""
 
     def __init__(self, table: QuickTable, rig: Rig, base: Path) -> None:
         self.path, self.rig, self.n_sample, self.name = table.path, rig, table.n_row, table.path.stem

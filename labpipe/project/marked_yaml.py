@@ -63,11 +63,7 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [
-        (tag, regexp)
-        for tag, regexp in resolvers
-        if tag in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")
-    ]
+    first: [pair for pair in resolvers if pair[0] in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 
@@ -85,9 +81,8 @@ def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise ConfigError("is no regular file", path)
         if path.is_file() and path.stat().st_size > MOST_BYTES:
-            raise ConfigError(
-                f"has more than {MOST_BYTES >> 20} MB", path, "a YAML file of settings is needed"
-            )
+            what = f"has more than {MOST_BYTES >> 20} MB"
+            raise ConfigError(what, path, "a YAML file of settings is needed")
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError("no such file", path) from None
@@ -167,9 +162,8 @@ class _Tree:
                 raise ConfigError("a key must be a plain name", where)
             key = str(key_node.value)
             if key in entries:
-                self.duplicates.append(
-                    ConfigError(f"{key}: the key appears twice", where, f"first at {entries[key].key_where}")
-                )
+                hint = f"first at {entries[key].key_where}"
+                self.duplicates.append(ConfigError(f"{key}: the key appears twice", where, hint))
                 continue
             entries[key] = self.marked(value_node, above)
             entries[key].key_where = where

@@ -1,7 +1,4 @@
-"""What a test is measured as: its frequency response, its free decays, or the spectra of its channels.
-
-One file for each test.
-"""
+"""What a test is measured as, one file each: frequency response, free decays, or spectra of its channels."""
 
 from __future__ import annotations
 

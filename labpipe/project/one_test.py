@@ -305,9 +305,7 @@ def _ready_sources(job: Job) -> list[SourceRef]:
 
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
-    """The test measured from its raw files as they are read; their references. None where they need a
-    calibrated recording, or a fault was met: its checks name that.
-    """
+    """The references of raw files measured as they are read; None where they need `ingest`."""
     if (
         job.frf is None
         or job.test.recorded
@@ -340,11 +338,8 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        stored.append(
-            ingest(
-                source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by
-            )
-        )
+        where = (output, f"recordings/{name}", job.folder)
+        stored.append(ingest(source.path, source.rig, *where, source.joined, source.by))
     if stored:
         if job.frf is None:
             raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")

@@ -125,14 +125,11 @@ def _known(name: str, settings: RepeatSettings) -> RepeatSource:
 
 
 def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
-    """The scatter between settings of a repeatability test, relative to its mean, with one degree of freedom
-    less than settings.
-    """
+    """The relative scatter between settings of a repeatability test, with one dof less than settings."""
     try:
         comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
-        repeatabilities: Mapping[str, Any] = {
-            entry["name"]: entry for entry in comparisons if entry["kind"] == "repeatability"
-        }
+        repeatable = (entry for entry in comparisons if entry["kind"] == "repeatability")
+        repeatabilities: Mapping[str, Any] = {entry["name"]: entry for entry in repeatable}
     except DamagedError as error:
         what = f"'{settings.file}' is not a readable identification.json: {error.what}"
         raise UnitError(what, error.hint) from None
@@ -147,9 +144,8 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
         amounts = {amount["name"]: float(amount["value"]) for amount in comparison["amounts"]}
         groups = {point["group"] for point in comparison["points"]}
         parameter = str(comparison["subject"]).split(",")[0].strip()
-        return RepeatSource(
-            name, parameter, abs(amounts["between"] / amounts["mean"]), settings.per, float(len(groups) - 1)
-        )
+        relative = abs(amounts["between"] / amounts["mean"])
+        return RepeatSource(name, parameter, relative, settings.per, float(len(groups) - 1))
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         what = f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
         raise UnitError(what) from None
@@ -189,9 +185,8 @@ def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:
         return entries
-    moved = [
-        key for key in settings_of(kind.settings) if key in entries and key not in settings_of(FitSettings)
-    ]
+    own = settings_of(FitSettings)
+    moved = [key for key in settings_of(kind.settings) if key in entries and key not in own]
     if not moved:
         return entries
     first = entries[moved[0]]
@@ -226,10 +221,9 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
     comparison = comparison_kind(kind) if kind in COMPARISONS else None
     presets: dict[str, Any] = {"name": name}
     if comparison is not None and comparison.settings is not None and comparison.section in entries:
-        presets["kind_settings"] = read_settings(
-            comparison.settings, entries[comparison.section], join(key, comparison.section), faults
-        )
-        node = node.without(comparison.section)
+        section = comparison.section
+        inner = read_settings(comparison.settings, entries[section], join(key, section), faults)
+        presets["kind_settings"], node = inner, node.without(section)
     for entry in sorted(set(node.content if comparison else ()) - set(settings_of(CompareSettings))):
         kinds = [name for name in COMPARISONS if comparison_kind(name).section == entry]
         if kinds:
@@ -328,9 +322,7 @@ def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
 
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
-    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes. Errors
-    as of `load_pipeline`.
-    """
+    """The pipeline of files to come, and what each becomes. Errors as of `load_pipeline`."""
     per_file: list[EachFile] = []
 
     def imagined(reader: TestReader) -> tuple[Test, ...]:
@@ -372,9 +364,8 @@ def _load(
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
         if of_all is not None and "identify" in settings:
-            settings["identify"] = tuple(
-                of_all(fit, entries["identify"].content[fit.name].content) for fit in settings["identify"]
-            )
+            fits, written = settings["identify"], entries["identify"].content
+            settings["identify"] = tuple(of_all(fit, written[fit.name].content) for fit in fits)
     rules = tuple(
         rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
     )

@@ -26,9 +26,7 @@ _STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{
 
 
 def drawn_from(result: Path, code: str = "") -> str:
-    """What the report of a result file depends on, as a digest: its content and the code that draws, by
-    default of this build; empty where it carries none.
-    """
+    """The digest of a result and of the *code* that draws, by default this build's; '' where it has none."""
     with result.open("rb") as stream:
         match = _RESULT.search(stream.read(4096))
     return hashlib.sha256(match[1] + (code or code_digest()).encode()).hexdigest() if match else ""

@@ -47,9 +47,7 @@ class Manner:
 
 @dataclass(frozen=True)
 class Measured:
-    """The responses or decays of all tests, the files behind them, the fits made on the way, the tests that
-    failed, digests of *tests*.
-    """
+    """What came of all *tests*, its digests, the files behind it, fits made on the way, tests that failed."""
 
     tests: tuple[MeasuredTest, ...]
     sources: tuple[SourceRef, ...]

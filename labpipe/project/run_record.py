@@ -1,7 +1,6 @@
-"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line for each
-run whose results lie in or below it. A line holds the digest of the line before, so that a line that was
-changed, removed or put in shows, and the digest of its result, so that a result shows that no run made. It is
-beside the artefacts, which hold no clock.
+"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line each. A
+line holds the digests of the line before and of its result, so that changed or removed lines show, and
+results of no run. It is beside the artefacts, which hold no clock.
 """
 
 from __future__ import annotations

@@ -152,9 +152,7 @@ def _rig(first: FirstLook, path: Path) -> str:
 
 
 def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
-    """A channel; *anchor*: of a unit that several channels of a quantity share, '&' where it is decided, '*'
-    where it is only referred to.
-    """
+    """A channel; *anchor*: '&' for a shared unit that is to be decided, '*' for a reference to it."""
     entries = {"column": _quoted(channel.column), "quantity": channel.quantity, "unit": _quoted(channel.unit)}
     if anchor:
         entries["unit"] = f"{anchor}{channel.quantity}" + (f" {DECIDE}" if anchor == "&" else "")
@@ -444,9 +442,7 @@ def _pattern_of(names: Sequence[str]) -> str:
 
 
 def _order(guessed: GuessedFrf) -> int:
-    """The power of the frequency that makes a mobility of FRFs; where nothing says their form they are taken
-    for accelerance, which most are.
-    """
+    """The power of frequency from FRFs to mobilities; without a form for accelerance, which most are."""
     form = guessed.form
     for name in MECHANICAL if guessed.unit and not form else ():
         with suppress(UnitError):

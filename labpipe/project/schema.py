@@ -171,9 +171,8 @@ def _section(entry: PipelineSection) -> dict[str, Any]:
         plain = [parts[kind.section]["properties"] for kind in kinds() if getattr(kind, "optional", False)]
         for name, described in schema["properties"].items():
             described["description"] += text(name)
-        schema["properties"] = (
-            {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
-        )
+        inner = {name: value for part in plain for name, value in part.items()}
+        schema["properties"] = inner | schema["properties"] | parts
     return {"type": "object", "additionalProperties": schema} if entry.named else schema
 
 

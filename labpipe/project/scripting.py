@@ -137,7 +137,6 @@ def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
 
 def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
     """The response over frequency, output and input, with variance and coherence where they are known.
-
     ConfigError where xarray is not installed.
     """
     try:

@@ -1,9 +1,6 @@
-"""Signatures of people: reports as PDF by PAdES, archives and other files by a detached CMS signature
-(CAdES).
-
-The signature is beside what it signs, never in an artefact: a report that is signed is a PDF of its own,
-and a detached signature is a file FILE.ROLE.p7s. Signing and verifying go through pyHanko, which the extra
-`sign` installs; nothing is fetched from a network, except a time stamp from a server that is named.
+"""Signatures of people: reports as PDF by PAdES, other files by a detached CMS signature (CAdES),
+FILE.ROLE.p7s. It is beside what it signs: a signed report is a PDF of its own. pyHanko, of the extra `sign`,
+signs and verifies; nothing is fetched from a network but time stamps of a server that is named.
 """
 
 from __future__ import annotations
@@ -158,9 +155,8 @@ def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper:
     settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(signing_time=now)
     plain = signer._signed_attr_provider_spec(settings, timestamper, use_cades=False, is_pdf_sig=False)
     signer.signed_attr_prov_spec = _with_hints(plain, json.dumps(words, sort_keys=True))
-    signature = asyncio.run(
-        signer.async_sign_general_data(content, "sha256", detached=True, timestamper=timestamper)
-    )
+    signs = signer.async_sign_general_data(content, "sha256", detached=True, timestamper=timestamper)
+    signature = asyncio.run(signs)
     with output_file(target) as temporary:
         temporary.write_bytes(signature.dump())
     return target
@@ -235,9 +231,7 @@ def signed_files(path: Path) -> list[Path]:
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
-    """Every signature in a signed PDF or a detached one. DataError where the file cannot be read; ConfigError
-    for a certificate of *trust* that cannot.
-    """
+    """Every signature of a file. DataError for an unreadable one, ConfigError for one in *trust*."""
     for library in ("pyhanko", "pyhanko_certvalidator"):
         # What it says of a certificate that nobody vouches for is a fault here, and no trace of an error.
         logging.getLogger(library).setLevel(logging.CRITICAL + 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -51,10 +52,9 @@ def study_blocks(study: Study) -> tuple[Block, ...]:
     if len({case.noise for case in study.cases}) > 1:
         blocks.append(_noise_figure(study))
     noisiest = max(case.noise for case in study.cases)
-    blocks.extend(
-        _parameter_table(case) for case in study.cases if case.noise == noisiest and case.parameters
-    )
-    evaluated = dict.fromkeys(case.fit for case in study.cases if case.parameters)
+    with_parameters = [case for case in study.cases if case.parameters]
+    blocks.extend(_parameter_table(case) for case in with_parameters if case.noise == noisiest)
+    evaluated = dict.fromkeys(case.fit for case in with_parameters)
     blocks.extend(_means_table(study, fit) for fit in evaluated)
     return tuple(blocks)
 
@@ -126,9 +126,8 @@ def _noise_figure(study: Study) -> Figure:
             for number, fit in enumerate(fits)
         ]
         goals = [] if goal is None else [level(goal)]
-        panels.append(
-            Panel(Axis("noise", "%"), Axis(title, unit, logarithmic=logarithmic), (*series, *goals))
-        )
+        axis = Axis(title, unit, logarithmic=logarithmic)
+        panels.append(Panel(Axis("noise", "%"), axis, (*series, *goals)))
     caption = (
         "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the "
         "noise; grey: required."
@@ -205,9 +204,7 @@ def _value(rule: Rule, case: StudyCase, item: str) -> float | None:
 
 
 def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
-    """Mean error, success, RMSE over bound and coverage of every fit at every noise level, as "study.FIT" of
-    test "NOISE %, N lines".
-    """
+    """The results of every fit at every noise level, as "study.FIT" of test "NOISE %, N lines"."""
     for study in studies:
         for case in study.cases:
             test = f"{100 * case.noise:g} %, {case.lines} lines"
@@ -225,7 +222,7 @@ def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
 
 def study_lines(studies: Studies) -> Iterator[str]:
     """One line for every fit at every noise level, then the thresholds."""
-    return (line for study in studies for line in _study_lines(study))
+    return itertools.chain.from_iterable(map(_study_lines, studies))
 
 
 def _study_lines(study: Study) -> Iterator[str]:

@@ -278,9 +278,7 @@ class Test:
 
 @dataclass(frozen=True)
 class EachFile:
-    """What a file becomes that is a test by itself: conditions that all have, those from its name by the
-    *pattern*, how it is measured.
-    """
+    """What a file becomes that is a test: common conditions, and those in its name by the *pattern*."""
 
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
@@ -443,9 +441,8 @@ class TestReader:
                     what, hint = "an amount or a word is needed", "for example speed: 3000 rpm"
                     self.faults.add(node, settings_reader.join(key, "conditions", name), what, hint)
                 continue
-            source = settings_reader.read_settings(
-                RecordedCondition, node, settings_reader.join(key, "conditions", name), self.faults
-            )
+            at = settings_reader.join(key, "conditions", name)
+            source = settings_reader.read_settings(RecordedCondition, node, at, self.faults)
             if source is not None:
                 recorded[name] = source
         return written, recorded

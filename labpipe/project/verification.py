@@ -106,9 +106,8 @@ def _kind(path: Path) -> _Kind | None:
 
 
 def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
-    """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of
-    raw files are relative; by default that in or above the results which holds the pipeline. DataError for no
-    folder, or one without artefacts.
+    """Every artefact below a folder. *base*: the folder of their pipeline, by default that in or above the
+    results; paths of raw files are relative to it. DataError for no folder or no artefacts.
     """
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
@@ -124,9 +123,8 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
 
 def artefacts_below(folder: Path) -> list[Path]:
     """The files below a folder that have an artefact's name, in order."""
-    return [
-        path for path in without_staging(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()
-    ]
+    below = without_staging(folder.rglob("*"))
+    return [path for path in below if _kind(path) is not None and not path.is_dir()]
 
 
 def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:

@@ -1,8 +1,6 @@
-"""Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
-
-The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is
-done again after a kill, from the artefacts on disk, which gives the same rows; a part of the dataset appears
-whole or not at all.
+"""Recordings worked on as they arrive: each exactly once, whatever ends the watch in between. The dataset is
+the only ledger: what has no rows is done again after a kill, from the artefacts on disk, with the same rows;
+a part of the dataset appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -102,12 +100,9 @@ class Counts:
 
 @dataclass
 class Watch:
-    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in
-    seconds since 1970.
-
-    folder: may be of an object storage. home: where the results are kept, by default *results* itself;
-    another place gets them by *publish*, after which *forget* frees the disk of them. logs: the folder of log
-    and metrics, by default *results*.
+    """One watched folder, perhaps of an object storage, and its results. *stopped* is asked between
+    recordings; *clock*: seconds since 1970. home: where results are kept, by default *results*; another place
+    gets them by *publish*, then *forget* frees the disk. logs: by default *results*.
     """
 
     pipeline: Pipeline
@@ -183,10 +178,8 @@ class Watch:
         for arrived in self._arrived():
             seen[arrived.path] = arrived
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
-            is_same = (
-                self.settings.settle == 0 or self.settings.once or self._seen.get(arrived.path) == arrived
-            )
-            if arrived.marked or (still and is_same):
+            at_once = self.settings.settle == 0 or self.settings.once
+            if arrived.marked or (still and (at_once or self._seen.get(arrived.path) == arrived)):
                 yield arrived
             else:
                 self.counts.arriving += 1
@@ -298,10 +291,8 @@ class Watch:
         self.publish()
 
     def _quarantine(self, test: str, reason: str) -> None:
-        """Move a bad recording aside, its reason first; nothing where it has gone already.
-
-        In an object storage it stays where it is: an object cannot be moved in one step, and its rows keep it
-        from being looked at again.
+        """Move a bad recording aside, its reason first; nothing where it has gone already. An object of a
+        storage cannot be moved in one step and stays; by its rows it is not looked at again.
         """
         path = self._paths.get(test)
         if path is None or (not self._stays and not path.exists()):
