@@ -13,7 +13,7 @@ from labpipe import __version__
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.json_file import without_nan
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.kinds import BearingCoefficients, BearingUncertainties, bearing_uncertainties
+from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties, bearing_uncertainties
 from labpipe.project.bearing_file import BearingFile, Sweep, setting_at
 from labpipe.project.marked_yaml import set_entry
 from labpipe.quantities import display_unit, to_display
@@ -153,7 +153,7 @@ def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) 
 def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, Any]:
     """The entries of --json, in SI units: the coefficients and all that is known beside them."""
     coefficients = whole.coefficients
-    equilibrium = {amount.name: amount.value for amount in coefficients.rest}
+    equilibrium = _values(coefficients.rest)
     equilibrium |= {key: values.tolist() for key, values in coefficients.element_state.items()}
     entry: dict[str, Any] = {
         "schema": SCHEMA,
@@ -164,21 +164,25 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
         "stiffness": coefficients.stiffness.tolist(),
         "damping": coefficients.damping.tolist(),
         "equilibrium": equilibrium,
-        "model": {amount.name: amount.value for amount in coefficients.notes} | dict(coefficients.words),
+        "model": _values(coefficients.notes) | dict(coefficients.words),
         "warnings": [{"code": finding.code, "message": finding.message} for finding in coefficients.findings],
     }
     if coefficients.shares:
-        entry["shares"] = {amount.name: amount.value for amount in coefficients.shares}
+        entry["shares"] = _values(coefficients.shares)
     if coefficients.poles is not None:
         entry["poles"] = [[float(pole.real), float(pole.imag)] for pole in coefficients.poles]
     if coefficients.shaft:
-        entry["shaft"] = {amount.name: amount.value for amount in coefficients.shaft}
+        entry["shaft"] = _values(coefficients.shaft)
     if coefficients.lowest is not None and coefficients.highest is not None:
         ends = {"min": coefficients.lowest, "max": coefficients.highest}
         entry["passage"] = {f"stiffness_{name}": matrix.tolist() for name, matrix in ends.items()}
     if whole.uncertainties is not None:
         entry["uncertainty"] = _uncertainty_entry(whole.uncertainties, coefficients)
     return entry
+
+
+def _values(amounts: Sequence[Amount]) -> dict[str, Any]:
+    return {amount.name: amount.value for amount in amounts}
 
 
 def _uncertainty_entry(

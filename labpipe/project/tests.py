@@ -53,16 +53,19 @@ def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> l
     return frfs
 
 
+def _all_files(
+    node: Marked, key: str, faults: settings_reader.Faults, *, elsewhere: bool = False
+) -> list[Path]:
+    items = settings_reader.listed(node)
+    return [p for item in items for p in settings_reader.files_of(item, key, faults, elsewhere=elsewhere)]
+
+
 def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
     layout = settings_reader.read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
     word = "file" if layout.file else "each"
-    named = [
-        path
-        for item in settings_reader.listed(node.content[word])
-        for path in settings_reader.files_of(item, settings_reader.join(key, word), faults)
-    ]
+    named = _all_files(node.content[word], settings_reader.join(key, word), faults)
     frfs = []
     for paths in filter(None, [(path,) for path in named] if layout.file else [tuple(named)]):
         before = len(faults)
@@ -191,11 +194,7 @@ class RecordingReader:
             self.faults.add_at(entry.content, key, named[1], what, "leave one out")
         file = entry.content[named[0]] if named else Marked(None, entry.where)
         rig = self._rig(entry, key)
-        paths = [
-            path
-            for item in settings_reader.listed(file)
-            for path in settings_reader.files_of(item, key, self.faults, elsewhere=True)
-        ]
+        paths = _all_files(file, key, self.faults, elsewhere=True)
         if rig is None or not paths:
             return []
         if named == ["join"]:
@@ -227,11 +226,11 @@ class RecordingReader:
         node = entry.content.get("pattern")
         if node is None:
             return rig
-        dofs = settings_reader.conditions_in(settings_reader.plain_stem(path), node.text)
+        stem = settings_reader.plain_stem(path)
+        dofs = settings_reader.conditions_in(stem, node.text)
         try:
             if dofs is None:
-                hint = "for example '{}_{output}_{input}'"
-                raise ConfigError(f"does not match '{settings_reader.plain_stem(path)}'", hint=hint)
+                raise ConfigError(f"does not match '{stem}'", hint="for example '{}_{output}_{input}'")
             return move(rig, dofs)
         except ConfigError as error:
             self.faults.add_at(entry.content, key, "pattern", error.what, error.hint)
