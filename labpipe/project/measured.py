@@ -222,12 +222,11 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
     return dataclasses.replace(result, name=name, conditions=conditions)
 
 
-def load_ready_measured(
-    ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None
-) -> MeasuredTest:
+def load_ready_measured(ready: ReadyFrf, test: str, conditions: dict[str, str]) -> MeasuredTest:
     """What stands under frfs: of a test: what labpipe measured, or a response of any layout."""
-    if ready.layout is None and _kind_of_file(ready.paths[0]) is not None:
-        return load_measured(ready.paths[0], test or ready.name, conditions)
-    from labpipe.project.ready_response import load_ready
+    name = test or ready.name
+    if ready.layout is None:
+        return load_measured(ready.paths[0], name, conditions)
+    from labpipe.project.ready_response import load_described
 
-    return load_ready(ready, test, conditions)
+    return load_described(ready, ready.layout, name, conditions)

@@ -76,33 +76,23 @@ def format_of(path: Path) -> str:
     return SUFFIX_FORMATS[suffix]
 
 
-def write_report(
-    identification: Identification,
-    path: Path,
-    report_format: str = "",
-    figures: Path | None = None,
-    results: Path | None = None,
-) -> None:
+def write_report(identification: Identification, path: Path, figures: Path | None, results: Path) -> None:
     """Write the report of an identification; the format follows from the ending. *figures*: a folder for them
-    as files. *results*: the folder of the result, by default that of the report.
+    as files. *results*: the folder of the result.
     """
-    name, folder = report_format or format_of(path), results or path.parent
-    files = {} if figures is None else _figures_of(identification, folder)
-    _write(_draw(identification, folder, name), path, files, figures)
+    name = format_of(path)
+    files = {} if figures is None else _figures_of(identification, results)
+    _write(_draw(identification, results, name), path, files, figures)
 
 
 def write_test_report(
-    identification: Identification,
-    test: str,
-    path: Path,
-    figures: Path | None = None,
-    results: Path | None = None,
+    identification: Identification, test: str, path: Path, figures: Path | None, results: Path
 ) -> None:
     """Write the pages of one test. ConfigError for an unknown test. *results*: the result's folder."""
     from labpipe.report.build import build
 
     if identification.dataset is not None:
-        identification = one_of_many(identification, results or path.parent, test)
+        identification = one_of_many(identification, results, test)
     write_document(build(identification, test), path, figures)
 
 
