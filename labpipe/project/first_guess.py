@@ -299,9 +299,9 @@ Numbers = FloatArray | ComplexArray
 
 
 def highest_peak(mobility: Numbers, coherence: FloatArray | None = None) -> tuple[int, bool]:
-    """The line of the highest peak of a *mobility* (n_line,) [1], and whether it looks like a mode or the
-    force explains it by its *coherence* (n_line,) [1]. Neither an end nor what hardly stands out or follows
-    no pole is one; without any it is the highest of all.
+    """The line of the highest peak of a *mobility* (n_line,) [1] that looks like a mode, or that the force
+    explains by its *coherence* (n_line,) [1], and whether there is one. Neither an end nor what hardly stands
+    out, or follows no pole, is one; without any it is the highest of all.
     """
     size = np.abs(mobility)
     peaks = peaks_of(size)

@@ -1,6 +1,7 @@
 """Signatures of people: reports as PDF by PAdES, other files by a detached CMS signature (CAdES),
-FILE.ROLE.p7s. It is beside what it signs: a signed report is a PDF of its own. pyHanko, of the extra `sign`,
-signs and verifies; nothing is fetched from a network but time stamps of a server that is named.
+FILE.ROLE.p7s. It is beside what it signs, never in an artefact: a signed report is a PDF of its own.
+pyHanko, of the extra `sign`, signs and verifies; nothing is fetched from a network but time stamps of a
+server that is named.
 """
 
 from __future__ import annotations
