@@ -12,9 +12,10 @@ import os
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO
 
@@ -75,9 +76,8 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
         results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
     noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
-    digests = {reference.path: reference.sha256 for reference in noted} | {
-        source["path"]: source["sha256"] for source in identification.sources
-    }
+    digests = {reference.path: reference.sha256 for reference in noted}
+    digests |= {source["path"]: source["sha256"] for source in identification.sources}
     dated = identification.dataset is not None
     main, files = _project(pipeline, digests, dated=dated, digests_only=digests_only)
     of, of_results = (tuple(map(_digest, members)) for members in (files, results))
@@ -95,9 +95,8 @@ def _digest(member: Member) -> Member:
 def _check_same(identification: Identification, pipeline: Pipeline, folder: Path) -> None:
     if identification.code != code_digest():
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
-        raise DataError(
-            what, folder / IDENTIFICATION, "run `labpipe run` again, or make the archive with that build"
-        )
+        hint = "run `labpipe run` again, or make the archive with that build"
+        raise DataError(what, folder / IDENTIFICATION, hint)
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):
         # With the conditions as the recordings showed them.
@@ -113,14 +112,11 @@ def _names_of_result(folder: Path, identification: Identification, pipeline: Pip
     """The artefacts of this very result by their names; what earlier pipelines left in the folder is none."""
     named = [reference["path"] for reference in identification.inputs]
     named.extend(name for test in pipeline.tests for name in files_of_test(test.name))
-    files_there = [
-        name for name in dict.fromkeys(named) if (folder / name).is_file() and ".." not in Path(name).parts
-    ]
-    measured = [name for name in files_there if name.endswith(".parquet") and "/" not in name]
-    recordings = [
-        f"recordings/{reference.path}" for name in measured for reference in header_of(folder / name).inputs
-    ]
-    return sorted({IDENTIFICATION, *files_there, *filter(lambda name: (folder / name).is_file(), recordings)})
+    there = {name for name in named if (folder / name).is_file() and ".." not in Path(name).parts}
+    measured = [name for name in there if name.endswith(".parquet") and "/" not in name]
+    inputs = [reference.path for name in measured for reference in header_of(folder / name).inputs]
+    recordings = (f"recordings/{name}" for name in inputs)
+    return sorted({IDENTIFICATION, *there, *(name for name in recordings if (folder / name).is_file())})
 
 
 def _role_of_result(name: str) -> str:
@@ -140,9 +136,7 @@ def _role_of_result(name: str) -> str:
 def _project(
     pipeline: Pipeline, digests: Mapping[str, str], *, dated: bool, digests_only: bool
 ) -> tuple[str, list[Member]]:
-    """The pipeline's name in the archive, and it with all files that it names. digests: of raw files by their
-    paths or URLs. dated: the result depends on the days of the recordings.
-    """
+    """The pipeline's name and its files in the archive; *digests*: of raw files; *dated*: days count."""
     raw = [path for test in pipeline.tests for path in files_of(test)]
     remote = next(filter(is_remote, raw), None)
     if remote is not None and not digests_only:
@@ -173,9 +167,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first; and all other files that any of them
-    names.
-    """
+    """The settings files that a settings file names, itself first; and all other files that these name."""
     settings, others = [_absolute(path)], list[Path]()
     for file in settings:
         for node in _texts(load_marked(file)):
@@ -232,40 +224,39 @@ def check_output(path: Path) -> None:
     if path.suffix.lower() not in (ZIP, ELN):
         raise ConfigError(f"no archive has the ending '{path.suffix}'", path, f"known: {ZIP}, {ELN}")
     if path.exists():
-        raise ConfigError(
-            "is there already", path, "name another file, or remove this one; an archive is never replaced"
-        )
+        hint = "name another file, or remove this one; an archive is never replaced"
+        raise ConfigError("is there already", path, hint)
 
 
 def write_archive(contents: Contents, path: Path, date: str) -> None:
-    """Write the archive; DataError where a file changes meanwhile. An .eln has one folder of its own name
-    around all.
-    """
+    """Write the archive, an .eln with one folder around all. DataError where a file changes meanwhile."""
     check_output(path)
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""
     with output_file(path) as target, zipfile.ZipFile(target, "x") as archive:
         for member in (member for member in contents.members if member.kept):
-            digest = hashlib.sha256()
-            with (
-                member.path.open("rb") as source,
-                _open(archive, around + member.name, member.size or 0) as goal,
-            ):
-                while chunk := source.read(CHUNK):
-                    digest.update(chunk)
-                    goal.write(chunk)
-            if digest.hexdigest() != member.sha256:
+            name, size = around + member.name, member.size or 0
+            with member.path.open("rb") as source, _open(archive, name, size) as goal:
+                sha256 = _copy(iter(partial(source.read, CHUNK), b""), goal)
+            if sha256 != member.sha256:
                 raise DataError("changes while it is archived", member.path, "try again when it is finished")
         content = metadata(contents, date)
         with _open(archive, around + NAME, len(content)) as goal:
             goal.write(content)
 
 
-@contextmanager
-def _open(archive: zipfile.ZipFile, name: str, size: int) -> Iterator[IO[bytes]]:
+def _open(archive: zipfile.ZipFile, name: str, size: int) -> IO[bytes]:
     info = zipfile.ZipInfo(name, EPOCH)
     info.create_system, info.external_attr, info.file_size = 3, (stat.S_IFREG | 0o644) << 16, size
-    with archive.open(info, "w") as stream:
-        yield stream
+    return archive.open(info, "w")
+
+
+def _copy(chunks: Iterable[bytes], goal: IO[bytes]) -> str:
+    """Write the chunks; the SHA-256 of them all."""
+    digest = hashlib.sha256()
+    for chunk in chunks:
+        digest.update(chunk)
+        goal.write(chunk)
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -286,21 +277,15 @@ class Opened:
             return f"has {info.file_size} bytes in place of {listed.size}"
         target = folder / listed.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        digest = hashlib.sha256()
         try:
             with target.open("wb") as goal:
-                for chunk in self._chunks(info):
-                    digest.update(chunk)
-                    goal.write(chunk)
+                same = _copy(self._chunks(info), goal) == listed.sha256
         except DamagedError as error:
             return error.what
-        same = digest.hexdigest() == listed.sha256
         return "" if same else "is not the file that the archive lists: its SHA-256 is another"
 
     def _chunks(self, info: zipfile.ZipInfo) -> Iterator[bytes]:
-        """The content of a member; DamagedError where it cannot be read. What goes wrong where it is written
-        is no fault of the archive.
-        """
+        """The content of a member. DamagedError where it cannot be read, none where it cannot be written."""
         try:
             with self.archive.open(info) as stream:
                 while chunk := stream.read(CHUNK):
@@ -311,18 +296,15 @@ class Opened:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Opened]:
-    """An archive to be read. DataError for what is no ZIP, for names that lead out of it, and without
-    metadata.
-    """
+    """An archive to be read. DataError for no ZIP, for names that lead out of it, and without metadata."""
     if not path.is_file():
         what = "is no regular file" if path.exists() else "no such file"
         raise DataError(what, path, NAME_ONE)
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
-        raise DataError(
-            f"is no ZIP file, or a damaged one ({cut(str(error))})", path, "have it sent again"
-        ) from None
+        what = f"is no ZIP file, or a damaged one ({cut(str(error))})"
+        raise DataError(what, path, "have it sent again") from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
         for info in archive.infolist():
@@ -392,14 +374,12 @@ def unpack(path: Path, folder: Path) -> Unpacked:
         listed = {file.name: file for file in crate.files}
         faults = [(name, "is not listed among the metadata") for name in archive.members.keys() - listed]
         for file in listed.values():
-            fault = archive.unpack(file, folder)
-            if fault:
+            if fault := archive.unpack(file, folder):
                 faults.append((file.name, fault))
             else:
                 _date(file, folder)
-    return Unpacked(
-        folder / crate.pipeline, folder / RESULTS, len(listed), crate.left_out, tuple(sorted(faults))
-    )
+    pipeline, results = folder / crate.pipeline, folder / RESULTS
+    return Unpacked(pipeline, results, len(listed), crate.left_out, tuple(sorted(faults)))
 
 
 def _date(file: Listed, folder: Path) -> None:

@@ -13,7 +13,7 @@ from labpipe import __version__
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.json_file import without_nan
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.kinds import BearingCoefficients, BearingUncertainties, bearing_uncertainties
+from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties, bearing_uncertainties
 from labpipe.project.bearing_file import BearingFile, Sweep, setting_at
 from labpipe.project.marked_yaml import set_entry
 from labpipe.quantities import display_unit, to_display
@@ -30,9 +30,7 @@ STRUCTURAL_ZERO = 1e-9
 
 
 def stiffness_figure(name: str, bearing: BearingCoefficients) -> Figure:
-    """Heat map of the stiffness matrix: the colour is K_ij / sqrt(K_ii K_jj), the number the coefficient in
-    its unit.
-    """
+    """Heat map of the stiffness: the colour is K_ij / sqrt(K_ii K_jj), the number K_ij in its unit."""
     n, ticks = len(bearing.dofs), named_ticks(bearing.dofs)
     texts = [[_coefficient_text(bearing, row, column) for column in range(n)] for row in range(n)]
     matrix = cells(bearing.relative, texts, "k_ij / sqrt(k_ii k_jj)")
@@ -52,9 +50,7 @@ def _coefficient_text(bearing: BearingCoefficients, row: int, column: int) -> st
 def sweep_figures(
     title: str, label: str, values: FloatArray, swept: Sequence[BearingCoefficients]
 ) -> dict[str, Figure]:
-    """The figures "stiffness" and, where there is any, "damping": every coefficient over the swept entry, one
-    panel per unit. *label*: the entry with its unit, as in "speed [Hz]"; *values* (n,) in that unit.
-    """
+    """The figures "stiffness" and, if any, "damping" over *values* (n,) [unit of *label*: "speed [Hz]"]."""
     figures = {"stiffness": _sweep_figure(title, label, values, swept, "stiffness")}
     if any(bearing.damping.any() for bearing in swept):
         figures["damping"] = _sweep_figure(title, label, values, swept, "damping")
@@ -127,9 +123,7 @@ def evaluate(file: BearingFile) -> Evaluated:
 
 
 def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
-    """The coefficients at every value of the sweep, in its order; the uncertainty of the swept entry itself
-    does not count.
-    """
+    """The coefficients at every value of the sweep, without the uncertainty of the swept entry itself."""
     entries = [f"{sweep.key}={float(value)!r} {sweep.unit}" for value in sweep.values]
     return _evaluate(file, entries, [key for key in file.uncertainties if key != sweep.key])
 
@@ -146,10 +140,8 @@ def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) 
     coefficients = file.coefficients(settings)
     if not keys:
         return [Evaluated(point) for point in coefficients]
-    units = [setting_at(file.kind.settings, key).unit for key in keys]
-    sources = [
-        uncertainty_of(file.uncertainties[key], key, unit) for key, unit in zip(keys, units, strict=True)
-    ]
+    units = {key: setting_at(file.kind.settings, key).unit for key in keys}
+    sources = [uncertainty_of(file.uncertainties[key], key, unit) for key, unit in units.items()]
     size = 1 + 2 * len(keys)
     rows = [coefficients[start : start + size] for start in range(0, len(coefficients), size)]
     return [
@@ -159,11 +151,9 @@ def _evaluate(file: BearingFile, entries: Sequence[str], keys: Collection[str]) 
 
 
 def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, Any]:
-    """Entries of --json: kind, dofs, stiffness, damping, equilibrium, and where known the range over a ball
-    passage. SI units.
-    """
+    """The entries of --json, in SI units: the coefficients and all that is known beside them."""
     coefficients = whole.coefficients
-    equilibrium = {amount.name: amount.value for amount in coefficients.rest}
+    equilibrium = _values(coefficients.rest)
     equilibrium |= {key: values.tolist() for key, values in coefficients.element_state.items()}
     entry: dict[str, Any] = {
         "schema": SCHEMA,
@@ -174,21 +164,25 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
         "stiffness": coefficients.stiffness.tolist(),
         "damping": coefficients.damping.tolist(),
         "equilibrium": equilibrium,
-        "model": {amount.name: amount.value for amount in coefficients.notes} | dict(coefficients.words),
+        "model": _values(coefficients.notes) | dict(coefficients.words),
         "warnings": [{"code": finding.code, "message": finding.message} for finding in coefficients.findings],
     }
     if coefficients.shares:
-        entry["shares"] = {amount.name: amount.value for amount in coefficients.shares}
+        entry["shares"] = _values(coefficients.shares)
     if coefficients.poles is not None:
         entry["poles"] = [[float(pole.real), float(pole.imag)] for pole in coefficients.poles]
     if coefficients.shaft:
-        entry["shaft"] = {amount.name: amount.value for amount in coefficients.shaft}
+        entry["shaft"] = _values(coefficients.shaft)
     if coefficients.lowest is not None and coefficients.highest is not None:
         ends = {"min": coefficients.lowest, "max": coefficients.highest}
         entry["passage"] = {f"stiffness_{name}": matrix.tolist() for name, matrix in ends.items()}
     if whole.uncertainties is not None:
         entry["uncertainty"] = _uncertainty_entry(whole.uncertainties, coefficients)
     return entry
+
+
+def _values(amounts: Sequence[Amount]) -> dict[str, Any]:
+    return {amount.name: amount.value for amount in amounts}
 
 
 def _uncertainty_entry(
@@ -222,9 +216,7 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
-    """bearing.json, figures of the stiffness and of a film's pressure, a shaft's transfer matrix; the files'
-    names.
-    """
+    """Write bearing.json, figures, and a shaft's transfer matrix; the names of the files."""
     from labpipe.document.charts import svg_file
 
     coefficients = whole.coefficients

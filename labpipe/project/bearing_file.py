@@ -22,9 +22,7 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class BearingFile:
-    """A bearing file that is being read: its path, kind, the tree of its entries, and the *uncertainties* of
-    its numbers by their keys.
-    """
+    """A bearing file as it is read: the tree of its entries, and *uncertainties* of its numbers by key."""
 
     path: Path
     kind_name: str
@@ -85,9 +83,7 @@ def setting_at(owner: type, key: str) -> Setting:
 def taken_uncertainties(
     node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults
 ) -> dict[str, Uncertain]:
-    """The numbers of a mapping that carry an uncertainty, by their keys; in the tree their values stand alone
-    then.
-    """
+    """The uncertain numbers of a mapping by their keys; in the tree their values then stand alone."""
     uncertainties: dict[str, Uncertain] = {}
     if not isinstance(node.content, dict):
         return uncertainties
@@ -113,9 +109,7 @@ def taken_uncertainties(
 
 
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
-    """The kind that the entry `kind` of a bearing names. None and a fault where there is none of that
-    name.
-    """
+    """The kind that the entry `kind` of a bearing names. None and a fault for an unknown one."""
     entries = faults.mapping(tree, key)
     if "kind" not in entries:
         faults.add(tree, join(key, "kind"), "is missing", f"known: {', '.join(BEARINGS.names())}")

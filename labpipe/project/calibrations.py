@@ -1,6 +1,4 @@
-"""What calibrates a channel of a rig file: a typed sensitivity, the fit of a calibration, a certificate, a
-table of the sensor's frequency response; and the uncertainties that come with it.
-"""
+"""What calibrates a channel: sensitivity, calibration fit, certificate, response; and its uncertainties."""
 
 from __future__ import annotations
 
@@ -26,10 +24,7 @@ from labpipe.registry import nearest
 
 @dataclass(frozen=True)
 class ChainUncertaintySettings(Settings):
-    """Standard uncertainties of a channel's chain beside those of its numbers.
-
-    How else they are meant stands in brackets.
-    """
+    """Standard uncertainties of a channel's whole chain; in brackets, how else they are meant."""
 
     gain: str = setting(
         "text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default=""
@@ -81,9 +76,8 @@ def _of_channel(
     written: Written, effect: str, number: uncertain.Uncertain, source: str
 ) -> uncertain.ChannelUncertainty:
     unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
-    return uncertain.ChannelUncertainty(
-        effect, uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
-    )
+    uncertainty = uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
+    return uncertain.ChannelUncertainty(effect, uncertainty)
 
 
 def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
@@ -116,9 +110,7 @@ READERS = {"sensitivity": _of_sensitivity, "delay": _of_delay, "dof": _of_direct
 
 @dataclass(frozen=True)
 class Slope:
-    """Slope of a calibration fit [unit] with its standard error and degrees of freedom. No error where the
-    fit has none.
-    """
+    """Slope of a calibration fit [unit], its standard error, 0 where the fit has none, degrees of freedom."""
 
     value: float
     unit: str
@@ -127,9 +119,7 @@ class Slope:
 
 
 def calibrated_slope(reference: str, folder: Path) -> Slope:
-    """The slope of a calibration fit; the reference is FILE#FIT, relative to the *folder*. UnitError where
-    there is none.
-    """
+    """The slope of a calibration fit by FILE#FIT, relative to the *folder*. UnitError for none."""
     file, _, fit_name = reference.partition("#")
     unreadable = f"'{file}' is not a readable identification.json of a calibration"
     try:
@@ -226,9 +216,7 @@ class Certified:
 
 
 def certified_sensitivity(node: Marked, folder: Path, key: str, faults: Faults) -> Certified | None:
-    """The sensitivity of a channel by its certificate in a *folder*; None and a fault for one that cannot be
-    used.
-    """
+    """The sensitivity of a channel by its certificate in a *folder*; None and a fault without."""
     settings = read_settings(CertificateSettings, node, key, faults)
     if settings is None:
         return None
@@ -273,16 +261,13 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         if phases.std_errors is None:
             raise UnitError(f"{named} states no uncertainty of '{settings.phase}'")
         error = max(parse_value(f"{u!r} {phases.unit}", "rad") for u in phases.std_errors)
-        uncertainties.append(
-            uncertain.ChannelUncertainty("phase", uncertain.Uncertainty(f"{source}, phase", error, "rad"))
-        )
+        of_phase = uncertain.Uncertainty(f"{source}, phase", error, "rad")
+        uncertainties.append(uncertain.ChannelUncertainty("phase", of_phase))
     return Certified(f"{at!r} {stated.unit}", tuple(uncertainties), response)
 
 
 def _check_day(settings: CertificateSettings, valid_until: datetime.date | None, named: str) -> None:
-    """UnitError where the certificate is not valid on the day of the measurement. Only whether it is refused
-    depends on the day, no number does.
-    """
+    """UnitError where the certificate is not valid on the day, on which no number depends."""
     try:
         day = datetime.date.fromisoformat(settings.date) if settings.date else datetime.date.today()
     except ValueError:

@@ -1,7 +1,5 @@
-"""Index of a results folder: an SQLite file kept up to date with the results below it, and its queries.
-
-It is read whole into memory and written whole: no process waits for another one's lock, and what was damaged
-is made again.
+"""Index of a results folder: an SQLite file up to date with the results below it, and its queries. Read and
+written whole, it needs no lock, and a damaged one is made again.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ import sqlite3
 import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,19 +62,15 @@ MADE_BY = f"{__version__} {code_digest()}"
 
 @contextmanager
 def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The index of a folder, brought up to date; in memory for a read-only folder.
-
-    DataError for a missing folder or one without results.
-    """
+    """The index of a folder, up to date; in memory where read-only. DataError for no folder or no results."""
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     with closing(_open(folder)) as connection:
         if _bring_up_to_date(connection, folder):
             _keep(connection, folder)
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
-            raise DataError(
-                f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
-            )
+            hint = "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
+            raise DataError(f"holds no {NAME}", folder, hint)
         yield connection
 
 
@@ -103,25 +97,17 @@ def _open(folder: Path) -> sqlite3.Connection:
 
 
 def _stamp(database: bytes) -> bytes:
-    """The bytes of a database with their CRC-32 in the place of the user's version, by which a damaged index
-    is noticed.
-    """
+    """The database with its CRC-32 as the user's version, by which a damaged index is noticed."""
     first, last = database[: _STAMP.start], database[_STAMP.stop :]
     return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
 
 
 def _keep(connection: sqlite3.Connection, folder: Path) -> None:
-    """Write the index beside the results, as a whole: several processes may do so at once.
-
-    Not to a folder that may not be written.
-    """
-    if (folder / INDEX).exists() and not (folder / INDEX).is_file():
-        return
-    try:
-        with output_file(folder / INDEX) as path:
+    """Write the index as a whole beside the results, where that is allowed: others may do so at once."""
+    index = folder / INDEX
+    if index.is_file() or not index.exists():
+        with suppress(DataError, OSError), output_file(index) as path:
             path.write_bytes(_stamp(connection.serialize()))
-    except (DataError, OSError):
-        return
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
@@ -160,10 +146,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file
 
 
 def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
-    """The rows of a result with their tables.
-
-    One of BAD_ENTRY for entries of other types than labpipe writes.
-    """
+    """The rows of a result with their tables. One of BAD_ENTRY for entries that labpipe does not write."""
     conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
     dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
     entry = {
@@ -212,9 +195,8 @@ def _check(row: dict[str, Any]) -> dict[str, Any]:
 def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     parameter = listed.parameter
     low, high = parameter.ci95 or (None, None)
-    row = {
-        name: getattr(listed, name) for name in ("fit", "term", "test", "model", "estimator", "random_error")
-    }
+    same = ("fit", "term", "test", "model", "estimator", "random_error")
+    row = {name: getattr(listed, name) for name in same}
     row |= {name: getattr(parameter, name) for name in ("value", "unit", "significant")}
     row |= {"parameter": parameter.name, "std_error": parameter.full_error, "ci_low": low, "ci_high": high}
     row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "date": date}
@@ -292,10 +274,8 @@ class ResultRow:
 
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
-    """One parameter of one fit, in SI units; *conditions* of its test as written, *amounts* of the numeric
-    ones.
-
-    random_error: standard error without what given numbers add; changes: by each of these, as JSON.
+    """One parameter of one fit [SI]; *conditions* of its test, *amounts* of the numeric ones. random_error:
+    without what given numbers add; changes: by each of these, as JSON.
     """
 
     path: str
@@ -347,20 +327,14 @@ def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
     clauses, bound = _clauses(index, criteria)
     columns = [field.name for field in dataclasses.fields(ResultRow)]
-    sql = f"SELECT {', '.join(f'r.{name}' for name in columns)} FROM result r"
+    filled = ", ".join(f"coalesce(r.{name}, '')" for name in columns)
+    sql = f"SELECT {filled} FROM result r"
     rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY r.date, r.path", bound)
-    named = (zip(columns, row, strict=True) for row in rows)
-    entries: list[dict[str, Any]] = [
-        {name: "" if entry is None else entry for name, entry in pairs} for pairs in named
-    ]
-    return [ResultRow(**entry) for entry in entries]
+    return [ResultRow(**dict(zip(columns, row, strict=True))) for row in rows]
 
 
 def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
-    """The parameters that meet the criteria, by date, result and fit.
-
-    ConfigError for a name that no result has.
-    """
+    """The parameters that meet the criteria, by date, result and fit. ConfigError for an unknown name."""
     clauses, bound = _clauses(index, criteria, "v.date", " AND c.test = v.test")
     for column in NAMED:
         if pattern := getattr(criteria, column):
@@ -369,9 +343,7 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
             bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
     sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
-    rows = index.execute(
-        f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound
-    ).fetchall()
+    rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound)
     of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
     for *row, number in rows:
@@ -388,9 +360,8 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
 def _conditions(
     index: sqlite3.Connection, result: int, test: str
 ) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
-    rows = index.execute(
-        "SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?", (result, test)
-    ).fetchall()
+    sql = "SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?"
+    rows = index.execute(sql, (result, test)).fetchall()
     texts = {name: text for name, text, _, _ in rows}
     return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
 
@@ -445,9 +416,8 @@ def split_condition(text: str) -> tuple[str, str, str]:
     """Name, sign and bound of a condition such as "preload >= 400 N"; ConfigError for what is none."""
     match = _WHERE.match(text)
     if match is None:
-        raise ConfigError(
-            f"'{text}' is not a condition", hint="for example 'preload >= 400 N' or 'direction = up'"
-        )
+        hint = "for example 'preload >= 400 N' or 'direction = up'"
+        raise ConfigError(f"'{text}' is not a condition", hint=hint)
     return match["name"], match["sign"], match["bound"]
 
 
@@ -464,9 +434,8 @@ def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> t
 
 
 def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> list[str]:
-    """Those of the texts that tests have for a condition, with their *amounts*, that meet it.
-
-    ConfigError for a condition that cannot be read, or in another unit than theirs.
+    """Those of a condition's texts, with their *amounts*, that meet it. ConfigError for one that cannot be
+    read, or in another unit than theirs.
     """
     name, sign, bound = split_condition(condition)
     try:

@@ -1,8 +1,6 @@
-"""What results below a folder hold: search, comparison of two results, trends over conditions or time.
-
-Single results are found by their index, those of many tests by their datasets. The index spares reading the
-JSON of a lab's results, of which each is small and may be replaced; a dataset is columns already, its parts
-never change, and it is asked where it lies, however large it grows.
+"""What results below a folder hold: search, comparison of two results, trends over conditions or time. Single
+results are found by their index, which spares reading their JSON; those of many tests by their datasets,
+which are asked where they lie.
 """
 
 from __future__ import annotations
@@ -54,10 +52,8 @@ _GIVEN = ("path", "date")
 
 
 def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
-    """The parameters in the dataset of a *folder* that meet the criteria, by date and test; *name*: of the
-    folder as lists show it.
-
-    ConfigError for a name or a condition that no test has.
+    """The parameters in the dataset of a *folder*, listed as *name*, that meet the criteria, by date and
+    test. ConfigError for a name or a condition that no test has.
     """
     table = _choose(folder, criteria)
     for column in NAMED:
@@ -75,9 +71,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
-    """The parameters of all fits in the dataset of a *folder*, by date and test, with what comparing them
-    takes.
-    """
+    """The parameters in the dataset of a *folder*, by date and test, ready for comparison."""
     return [
         ListedParameter(
             fit=row.fit,
@@ -97,11 +91,8 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
     """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
-    tables = [
-        dataset_file.read_part(part, columns)
-        for part in dataset_file.parts(folder)
-        if _may_hold(part, criteria)
-    ]
+    chosen = (part for part in dataset_file.parts(folder) if _may_hold(part, criteria))
+    tables = [dataset_file.read_part(part, columns) for part in chosen]
     if not tables:
         return pa.table({name: pa.array([], pa.string()) for name in (*NAMED, "date")})
     table = pa.concat_tables(tables, promote_options="default")
@@ -115,9 +106,9 @@ def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
 
 
 def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
-    return functools.reduce(
-        lambda chosen, text: chosen.filter(condition_holds(chosen, text)), conditions, table
-    )
+    for text in conditions:
+        table = table.filter(condition_holds(table, text))
+    return table
 
 
 def condition_holds(table: pa.Table, text: str) -> Any:
@@ -162,9 +153,8 @@ Row = TypeVar("Row", ResultRow, ValueRow)
 
 
 def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
-    """The parameters that meet the criteria in all results below a folder, by date and result.
-
-    ConfigError for a name or a condition that none of them has; DataError for a folder without results.
+    """The parameters that meet the criteria in all results below a folder, by date and result. ConfigError
+    for an unknown name or condition; DataError for a folder without results.
     """
     with open_index(folder) as index:
         homes = _homes(index, folder).items()
@@ -178,10 +168,7 @@ def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
 
 
 def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
-    """The results below a folder with at least one test that meets the criteria, the oldest first.
-
-    Errors as of `found_values`.
-    """
+    """The results with a test that meets the criteria, the oldest first. Errors as of `found_values`."""
     with open_index(folder) as index:
         homes = _homes(index, folder)
         if not homes or not criteria.where:
@@ -222,10 +209,8 @@ LEVEL = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """One parameter in two results, in SI units.
-
-    p_value: probability of an equal or larger difference by the standard errors alone, corrected for the
-    number of parameters compared (Holm); None where a standard error is missing.
+    """One parameter in two results [SI]. p_value: probability of an equal or larger difference by the
+    standard errors, corrected for the number compared (Holm); None where one is missing.
     """
 
     fit: str
@@ -279,14 +264,11 @@ def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
 def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
     """The difference with its p-value before the correction."""
     change = matrix_of([mine.changes, other.changes])
-    errors = mine.random_error, other.random_error
-    error = (
-        float(np.sqrt(errors[0] ** 2 + errors[1] ** 2 + np.sum((change[:, 1] - change[:, 0]) ** 2)))
-        if errors[0] and errors[1]
-        else None
-    )
+    first, second = mine.random_error, other.random_error
+    error = p_value = None
+    if first and second:
+        error = float(np.sqrt(first**2 + second**2 + np.sum((change[:, 1] - change[:, 0]) ** 2)))
     value, other_value = mine.parameter.value, other.parameter.value
-    p_value = None
     if error is not None and np.isfinite(error + value + other_value):
         p_value = 2 * float(special.ndtr(-abs(other_value - value) / error))
     return Difference(
@@ -329,19 +311,13 @@ class Series:
 
     @property
     def errors(self) -> FloatArray:
-        """Standard errors (n,) [unit] of each test alone, NaN where missing.
-
-        Or, where tests have sources in common, covariance (n, n).
-        """
+        """Standard errors (n,) [unit], NaN where missing; covariance (n, n) of sources in common."""
         errors = np.array([np.nan if row.random_error is None else row.random_error for row in self.rows])
         return joint_errors(errors, matrix_of([json.loads(row.changes) for row in self.rows]))
 
     @property
     def line(self) -> WeightedFit | None:
-        """The weighted straight line.
-
-        None where values, errors or differences of the condition are missing.
-        """
+        """The weighted line; None where values, errors or differences of the condition are missing."""
         try:
             return straight_trend(self.condition, self.values, self.errors)
         except FitError:
@@ -364,10 +340,8 @@ class Series:
 
 
 def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
-    """One series for each fit, term and band; tests without the condition, or with a date that is none, are
-    ignored.
-
-    ConfigError when no test has the condition as an amount, or tests have it in different dimensions.
+    """One series for each fit, term and band; tests without the condition, or a date, are ignored.
+    ConfigError where none has it as an amount, or in different dimensions.
     """
     names = list(dict.fromkeys(name for row in rows for name in row.amounts))
     if over != DATE and over not in names:

@@ -1,6 +1,4 @@
-"""The sections compare and matrix: fits of all tests held against each other, against theory, and ordered by
-conditions.
-"""
+"""The sections compare and matrix: fits of all tests against each other or theory, or by conditions."""
 
 from __future__ import annotations
 
@@ -76,9 +74,7 @@ DEFAULT_AXES = (("x", "y"), ("y", "z"))
 
 
 def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMatrices:
-    """Every matrix in its order; LabpipeError names the matrix. One that lacks a failed test is named among
-    the work's failures.
-    """
+    """Every matrix in its order. Failures as of `run_comparisons`."""
 
     def matrix(entry: MatrixSettings) -> ConditionMatrix:
         theory = point_theory(entry, work.pipeline.folder)
@@ -115,9 +111,7 @@ def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
 
 
 def in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
-    """k_xx ... c_yy with the rig's x and y along *axes*, dofs of the bearing with a minus where they point
-    the other way.
-    """
+    """k_xx ... c_yy along *axes*: the bearing's dofs that are the rig's x and y, -y for the other way."""
     named = axes or next(
         (pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0]
     )
@@ -204,15 +198,12 @@ def listed_amounts(comparisons: Comparisons) -> Iterator[ListedParameter]:
     for comparison in comparisons:
         codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, comparison.findings)))
         for amount in comparison.amounts:
-            yield ListedParameter(
-                fit=comparison.name, parameter=amount, model=comparison.kind, warnings=codes
-            )
+            name, kind = comparison.name, comparison.kind
+            yield ListedParameter(fit=name, parameter=amount, model=kind, warnings=codes)
 
 
 def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
-    """Every coefficient at every point under the name of its matrix, as of the test "speed 3000 rpm, load 1
-    kN".
-    """
+    """Every coefficient at every point under its matrix's name, as of test "speed 3000 rpm, load 1 kN"."""
     for matrix in matrices:
         for point in matrix.points:
             place = matrix.text_of(point)

@@ -1,8 +1,6 @@
 """ro-crate-metadata.json: what an archive holds, as linked data by RO-Crate 1.1
-(https://w3id.org/ro/crate/1.1).
-
-No licence and no person is named that nobody named: what RO-Crate asks for and labpipe does not know is said
-to be not stated.
+(https://w3id.org/ro/crate/1.1). What it asks for and labpipe does not know, a licence or a person, is said to
+be not stated.
 """
 
 from __future__ import annotations
@@ -37,9 +35,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Contents:
-    """The pipeline's name in the archive and the files: what the result was made *of*, and the *results*.
-    left_out: of no result.
-    """
+    """What the result was made *of*, with the pipeline's name, the *results*, and files of no result."""
 
     identification: Identification
     pipeline: str
@@ -87,9 +83,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class Crate:
-    """What verification reads of the metadata: the files, the pipeline's name, and how many files are listed
-    by their digest only.
-    """
+    """What verification reads: files, the pipeline's name, and the number of files known by digest only."""
 
     files: tuple[Listed, ...]
     pipeline: str

@@ -50,7 +50,8 @@ def decide(
     try:
         limits = limits_of(decision, unit)
         process = _process(decision, unit)
-        shown = "" if value is None else _text(decision, value, error, unit)
+        written = written_unit(decision.low or decision.high)
+        shown = "" if value is None else text_in(written, value, error, unit)
     except UnitError as fault:
         raise rule.fault(fault.what, fault.hint) from None
     if value is None or not math.isfinite(value):
@@ -79,9 +80,7 @@ def decide(
 
 
 def limits_of(decision: Decision, unit: str) -> decisions.Limits:
-    """The limits in SI; UnitError for those of another dimension, or where the lower one does not come
-    first.
-    """
+    """The limits in SI; UnitError for another dimension, or where the lower one does not come first."""
     limits = decisions.Limits(
         parse_value(decision.low, unit) if decision.low else -math.inf,
         parse_value(decision.high, unit) if decision.high else math.inf,
@@ -107,8 +106,8 @@ def _process(decision: Decision, unit: str) -> tuple[float, float] | None:
     return process.value, process.std_error
 
 
-def _text(decision: Decision, value: float, error: float | None, unit: str) -> str:
-    written = written_unit(decision.low or decision.high)
+def text_in(written: str, value: float, error: float | None, unit: str) -> str:
+    """A value with its uncertainty [*unit*, SI] in a *written* unit, or the usual one where that is empty."""
     if not written:
         return amount_text(value, error, unit)
     size = None if error is None else in_unit(error, unit, written) - in_unit(0.0, unit, written)
@@ -122,19 +121,15 @@ def _outcome(
     limits: decisions.Limits,
     probability: float,
 ) -> tuple[str, decisions.Limits | None]:
-    """The outcome, and the values that pass; None where none does. *errors*: standard and expanded
-    uncertainty.
-    """
+    """The outcome, and the values that pass, if any do. *errors*: standard and expanded uncertainty."""
     error, expanded = errors
     if decision.rule == RISK:
-        return decisions.outcome_by_risk(probability, decision.risk), decisions.acceptance_by_risk(
-            error, limits, decision.risk
-        )
+        acceptance = decisions.acceptance_by_risk(error, limits, decision.risk)
+        return decisions.outcome_by_risk(probability, decision.risk), acceptance
     if decision.rule == SIMPLE:
         return (decisions.PASS if limits.hold(value) else decisions.FAIL), limits
-    guard = (
-        decisions.guard_band(error, decision.risk) if decision.guard is None else decision.guard * expanded
-    )
+    by_risk = decisions.guard_band(error, decision.risk)
+    guard = by_risk if decision.guard is None else decision.guard * expanded
     if guard < 0:
         # A band outwards: what passes lies within it, and nothing is conditional.
         wide = limits.narrowed(guard)
@@ -191,9 +186,8 @@ def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter)
     assert rule.decision is not None
     why = comparison.why_undecided(amount.name)
     limits = limits_of(rule.decision, amount.unit)
-    return Limited(
-        comparison, amount.name, limits, None if why else amount.value, stated_error(amount), why=why
-    )
+    value = None if why else amount.value
+    return Limited(comparison, amount.name, limits, value, stated_error(amount), why=why)
 
 
 def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
@@ -223,11 +217,8 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
     if decision.rule == RISK:
         outcome = decisions.outcome_by_risk(probability, decision.risk)
     else:
-        outcome = (
-            decisions.PASS
-            if all(limit.hold(value) for limit, value in zip(limits, values, strict=True))
-            else decisions.FAIL
-        )
+        hold = all(limit.hold(value) for limit, value in zip(limits, values, strict=True))
+        outcome = decisions.PASS if hold else decisions.FAIL
     record = RuleDecision(
         outcome=outcome,
         probability=probability,

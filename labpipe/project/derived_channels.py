@@ -1,9 +1,6 @@
-"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1 + sin(45 deg) *
-x_2".
-
-Between channels, plus and minus stand between blanks; factors are joined by *. A factor is a number, a number
-with unit and uncertainty, a name of `constants:`, or the cosine or sine of an angle; the units of all factors
-and of the channel must give the unit of the sum.
+"""Reading sums of channels: "f_x - m_s * a_x", "30 kg +- 0.1 kg * a_x", "cos(45 deg) * x_1". Signs between
+channels stand between blanks. A factor is a number, with unit and uncertainty or without, a name of
+`constants:`, or the cosine or sine of an angle; the units must give that of the sum.
 """
 
 from __future__ import annotations
@@ -28,9 +25,7 @@ _TURN = re.compile(r"^([+-]?)\s*(cos|sin)\s*\((.*)\)$")
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor of a term: its value and dimension, the number with uncertainty behind it, and the factor's
-    derivative by that.
-    """
+    """A factor of a term, the number with uncertainty behind it, and the factor's derivative by that."""
 
     value: float
     dimension: Dimension
@@ -39,9 +34,7 @@ class Factor:
 
 
 def read_constants(node: Marked | None, channels: Collection[str], faults: Faults) -> dict[str, Factor]:
-    """The entries of ``constants:`` by name; faults for those that are no value with a unit, or one of the
-    *channels* by their name.
-    """
+    """The entries of ``constants:``; faults for no value with a unit, and for names of *channels*."""
     constants: dict[str, Factor] = {}
     if node is None:
         return constants
@@ -56,9 +49,7 @@ def read_constants(node: Marked | None, channels: Collection[str], faults: Fault
 
 
 def parse_factor(text: str, name: str) -> Factor:
-    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg +- 1 deg)"; *name*: of its uncertainty. UnitError for
-    anything else.
-    """
+    """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg)"; *name*: of its uncertainty. UnitError for others."""
     turn = _TURN.match(text.strip())
     if turn is not None:
         return _turn(turn[1], turn[2], turn[3], name)
@@ -158,20 +149,17 @@ def _parts(text: str) -> list[tuple[float, str]]:
     text = text.strip()
     if not text:
         raise UnitError("a sum of channels is missing", "for example f_x - m_s * a_x")
-    pieces = _SIGN.split(_LEADING.sub(r"\1 ", text))
-    terms = [(1.0, pieces[0])] if pieces[0].strip() else []
-    terms += [
-        (-1.0 if sign == "-" else 1.0, term) for sign, term in zip(pieces[1::2], pieces[2::2], strict=True)
-    ]
-    if not all(term.strip() for _, term in terms):
+    first, *others = map(str.strip, _SIGN.split(_LEADING.sub(r"\1 ", text)))
+    signs, terms = ["+", *others[::2]], [first, *others[1::2]]
+    pairs = [(-1.0 if sign == "-" else 1.0, term) for sign, term in zip(signs, terms, strict=True)]
+    pairs = pairs if first else pairs[1:]
+    if not all(term for _, term in pairs):
         raise UnitError(f"'{text}' lacks a term", "for example f_x - m_s * a_x")
-    return [(sign, term.strip()) for sign, term in terms]
+    return pairs
 
 
 def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
-    """The sum of channel *name* in recorded channels, sums in it written out. UnitError for one that holds
-    itself.
-    """
+    """The sum of channel *name* in recorded channels. UnitError for one that holds itself."""
     if name in above:
         ring = " of ".join((*above[above.index(name) :], name))
         raise UnitError(f"the sum holds itself: {ring}", "write it in recorded channels")

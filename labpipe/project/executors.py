@@ -99,7 +99,7 @@ MOST_IN_BATCH, BATCHES_PER_WORKER, MOST_BATCHES = 50, 4, 400
 FILE_KEYS = ("class", "arguments", "adapt", "scale")
 
 
-def on_cluster(address: str) -> Callable[[Work, Sequence[Job]], Iterator[Done]]:
+def on_cluster(address: str) -> Execute:
     """On the workers of a Dask scheduler, e.g. tcp://10.0.0.1:8786; "local": processes of this machine;
     FILE.yaml: a cluster to start. They must see the same files under the same paths.
     """
@@ -176,9 +176,8 @@ def _distribute() -> Any:
     try:
         import distributed
     except ImportError:
-        raise ConfigError(
-            "--cluster: needs the package dask.distributed", hint="pip install 'labpipe[cluster]'"
-        ) from None
+        hint = "pip install 'labpipe[cluster]'"
+        raise ConfigError("--cluster: needs the package dask.distributed", hint=hint) from None
     # What goes wrong with a scheduler is said once, by this module.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -244,9 +243,8 @@ def _connect(distributed: Any, address: str, patience: float) -> Any:
         versions = client.run(_version)
     except TimeoutError:
         client.close()
-        raise DataError(
-            "the scheduler has no workers", address, f"start some with `dask worker {address}`"
-        ) from None
+        hint = f"start some with `dask worker {address}`"
+        raise DataError("the scheduler has no workers", address, hint) from None
     others = {worker: version for worker, version in versions.items() if version != _version()}
     if others:
         client.close()

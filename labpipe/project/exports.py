@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +43,7 @@ WRITERS = Registry("writer")
 
 
 def write_csv(artefact: Path, target: Path) -> None:
-    """An FRF as labpipe reads it again; recordings, decays, spectra as columns "name [unit]"; results as
-    parameters.
-    """
+    """An FRF as labpipe reads it again; samples and spectra by "name [unit]"; results as parameters."""
     table = _table(artefact)
     if table is None:
         write_frf_csv(target, measured_files.read_response(artefact))
@@ -72,17 +71,12 @@ def _table(artefact: Path) -> pd.DataFrame | None:
 
 
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
-    """A recording or an FRF as a universal file, numbers as text. Of a result its mode shapes (records 15, 82
-    and 55).
-    """
+    """A recording or FRF as a universal file; of a result its mode shapes (records 15, 82 and 55)."""
     if artefact.suffix == ".json":
         write_shapes_uff(target, modal_fits(artefact))
-        return
-    _refuse_tables(artefact, "a universal file")
-    if artefact.name.endswith(RECORDING_SUFFIX):
-        write_recording_uff(target, open_recording(artefact).in_memory(), binary)
     else:
-        write_frf_uff(target, measured_files.read_response(artefact), binary)
+        writers = partial(write_recording_uff, binary=binary), partial(write_frf_uff, binary=binary)
+        _write_measured(artefact, target, "a universal file", *writers)
 
 
 def write_uff58b(artefact: Path, target: Path) -> None:
@@ -94,11 +88,7 @@ def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
         raise DataError("parameters cannot be written as a MATLAB file", artefact, "known: csv, parquet")
-    _refuse_tables(artefact, "a MATLAB file")
-    if artefact.name.endswith(RECORDING_SUFFIX):
-        write_recording_mat(target, open_recording(artefact).in_memory())
-    else:
-        write_frf_mat(target, measured_files.read_response(artefact))
+    _write_measured(artefact, target, "a MATLAB file", write_recording_mat, write_frf_mat)
 
 
 def write_shapes(artefact: Path, target: Path) -> None:
@@ -108,7 +98,8 @@ def write_shapes(artefact: Path, target: Path) -> None:
 
 def modal_fits(artefact: Path) -> tuple[Fit, ...]:
     """The fits of a result that have modes; DataError where there is none."""
-    return _fits_with(Modes, artefact, "holds no mode shapes", "parameters are written as csv or parquet")
+    hint = "parameters are written as csv or parquet"
+    return tuple(fit for fit, _ in _fits_with(Modes, artefact, "holds no mode shapes", hint))
 
 
 def result_of(artefact: Path, what: str) -> Identification:
@@ -122,11 +113,13 @@ def result_of(artefact: Path, what: str) -> Identification:
     return identification
 
 
-def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[Fit, ...]:
-    fits = tuple(fit for fit in result_of(artefact, what).fits if fit.detail(kind) is not None)
-    if not fits:
+def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[tuple[Fit, Any], ...]:
+    """The fits that have a detail of a kind, with it; DataError where there is none."""
+    pairs = ((fit, fit.detail(kind)) for fit in result_of(artefact, what).fits)
+    with_detail = tuple(pair for pair in pairs if pair[1] is not None)
+    if not with_detail:
         raise DataError(what, artefact, hint)
-    return fits
+    return with_detail
 
 
 def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
@@ -135,11 +128,8 @@ def shape_table(fits: Sequence[Fit]) -> pd.DataFrame:
     for fit in fits:
         modes = fit.detail(Modes)
         assert modes is not None
-        places = (
-            modes.geometry.positions[[modes.geometry.place(dof)[0] for dof in modes.dofs]]
-            if modes.geometry
-            else None
-        )
+        geometry = modes.geometry
+        places = geometry.positions[[geometry.place(dof)[0] for dof in modes.dofs]] if geometry else None
         for mode, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
             for n, point in enumerate(modes.points):
                 head = {"fit": fit.name, "test": fit.test, "mode": mode + 1}
@@ -161,9 +151,7 @@ def recording_table(artefact: Path) -> pd.DataFrame:
 
 
 def decay_table(artefact: Path) -> pd.DataFrame:
-    """One row per sample: number of the decay from 1, recording, time in it in seconds, responses in SI
-    units.
-    """
+    """One row per sample: number of the decay from 1, recording, time in it [s], responses [SI]."""
     decays = measured_files.read_decays(artefact)
     names = [f"{port.label} [{unit}]" for port, unit in zip(decays.outputs, decays.units, strict=True)]
     tables = []
@@ -174,7 +162,10 @@ def decay_table(artefact: Path) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _refuse_tables(artefact: Path, what: str) -> None:
+def _write_measured(
+    artefact: Path, target: Path, what: str, recording: Callable[..., None], frf: Callable[..., None]
+) -> None:
+    """Write by the writer of recordings or of FRFs; DataError for what only tables hold."""
     tables = {
         measured_files.SPECTRA_SUFFIX: "spectra of all channels",
         measured_files.DECAY_SUFFIX: "free decays",
@@ -182,12 +173,14 @@ def _refuse_tables(artefact: Path, what: str) -> None:
     for suffix, name in tables.items():
         if artefact.name.endswith(suffix):
             raise DataError(f"{name} cannot be written as {what}", artefact, "known: csv, parquet")
+    if artefact.name.endswith(RECORDING_SUFFIX):
+        recording(target, open_recording(artefact).in_memory())
+    else:
+        frf(target, measured_files.read_response(artefact))
 
 
 def spectra_table(artefact: Path) -> pd.DataFrame:
-    """One row per run and line: real part, imaginary part and standard deviation of every channel "name
-    [unit]".
-    """
+    """One row per run and line: real and imaginary part and deviation of every channel "name [unit]"."""
     spectra = measured_files.read_spectra(artefact)
     tables = []
     for number, run in enumerate(spectra.runs):
@@ -253,9 +246,7 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
 
 
 def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Source, covariance (n, n) and change (n,) of all parameters by it [SI units]. Noise has no change with
-    a sign.
-    """
+    """Source, covariance (n, n) and change (n,) of all parameters by it [SI]; noise has no change."""
     # None becomes not-a-number.
     errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)
     correlation = np.eye(errors.size)
@@ -288,9 +279,7 @@ def write_study_csv(path: Path, study: Study) -> None:
 def write_band_csv(artefact: Path, target: Path) -> None:
     """One row per fit, line, output and input: nominal plant, radius of its band, weight and overbound."""
     tables = []
-    for fit in robust_fits(artefact):
-        plant = fit.detail(RobustPlant)
-        assert plant is not None
+    for fit, plant in _plants(artefact):
         for row, output in enumerate(plant.outputs):
             for column, input_name in enumerate(plant.inputs):
                 gain, zero, pole = plant.overbound[row, column]
@@ -308,15 +297,12 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
     overbound's k, zero and pole [Hz]. DataError for several such fits.
     """
-
-    fits = robust_fits(artefact)
-    if len(fits) > 1:
-        named = ", ".join(f"{fit.name} {fit.test}".strip() for fit in fits)
-        raise DataError(
-            f"holds {len(fits)} plants ({named}), a MATLAB file holds one", artefact, "--to band writes all"
-        )
-    plant = fits[0].detail(RobustPlant)
-    assert plant is not None
+    plants = _plants(artefact)
+    if len(plants) > 1:
+        named = ", ".join(f"{fit.name} {fit.test}".strip() for fit, _ in plants)
+        what = f"holds {len(plants)} plants ({named}), a MATLAB file holds one"
+        raise DataError(what, artefact, "--to band writes all")
+    plant = plants[0][1]
     same = ("nominal", "radius", "weight", "overbound", "confidence")
     content = {letter: getattr(plant, letter.lower()) for letter in "ABCD"}
     content |= {"frequency_hz": plant.frequency} | {name: getattr(plant, name) for name in same}
@@ -324,8 +310,7 @@ def write_plant_mat(artefact: Path, target: Path) -> None:
     scipy.io.savemat(target, content)
 
 
-def robust_fits(artefact: Path) -> tuple[Fit, ...]:
-    """The fits of a result that have a plant; DataError where there is none."""
+def _plants(artefact: Path) -> tuple[tuple[Fit, RobustPlant], ...]:
     hint = "of fits of the model magnet, with one run per axis at least"
     return _fits_with(RobustPlant, artefact, "holds no plant", hint)
 
@@ -347,9 +332,8 @@ def write_signal(path: Path, samples: FloatArray, sample_rate: float, column: st
             full = (samples / np.max(np.abs(samples))).astype(np.float32)
             scipy.io.wavfile.write(target, round(sample_rate), full)
             return
-        table = pa.table(
-            {"t [s]": arrow_array(np.arange(samples.size) / sample_rate), column: arrow_array(samples)}
-        )
+        times = np.arange(samples.size) / sample_rate
+        table = pa.table({"t [s]": arrow_array(times), column: arrow_array(samples)})
         if suffix == ".parquet":
             pq.write_table(table, target)
         else:
@@ -431,8 +415,7 @@ def _statement(owner: ET.Element, outcome: RuleOutcome) -> None:
     declared = f"{outcome.section}: {outcome.rule}; {outcome.found}"
     _child(_child(owner, "declaration"), "content", declared)
     word = "pass" if outcome.passed else "fail"
-    if outcome.decision is not None:
-        word = outcome.decision.outcome
+    word = word if outcome.decision is None else outcome.decision.outcome
     _child(owner, "conformity", _CONFORMITY.get(word, word))
 
 

@@ -1,7 +1,4 @@
-"""What a file's own metadata say of its channels: quantity, unit, role, direction.
-
-What they do not say stays open.
-"""
+"""What a file's own metadata say of its channels; what they do not say stays open."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
-from labpipe.quantities import QUANTITIES, UnitError, parse_unit, readings
+from labpipe.quantities import QUANTITIES, Dimension, UnitError, parse_unit, readings
 from labpipe.raw_files.first_look import hit_starts
 from labpipe.raw_files.screening import TimeAxisScreen
 from labpipe.raw_files.table import Table
@@ -52,11 +49,8 @@ _BY_NAME = (
 
 @dataclass(frozen=True)
 class GuessedChannel:
-    """One channel of a rig file to be: *key* its name, *quantity* and *unit* or DECIDE; *sensitivity* DECIDE
-    for a sensor in volts.
-
-    *role* is empty where it follows from a quantity that is still to be decided; *guess*: what was taken from
-    the name alone.
+    """One channel of a rig file to be; *quantity*, *unit* and *sensitivity*, for volts, may be DECIDE. *role*
+    is empty where it follows from an open quantity; *guess*: what was taken from the name alone.
     """
 
     key: str
@@ -72,12 +66,11 @@ class GuessedChannel:
     @property
     def decisions(self) -> tuple[str, ...]:
         """Decisions that the user must take, as text."""
+        known = QUANTITIES.get(self.quantity)
         questions = {
             "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not "
             "needed",
-            "unit": f"the unit of the recorded numbers, for example {QUANTITIES[self.quantity].si_unit}"
-            if self.quantity in QUANTITIES
-            else "the unit of the recorded numbers",
+            "unit": "the unit of the recorded numbers" + (f", for example {known.si_unit}" if known else ""),
             "sensitivity": "recorded volts per quantity, for example 8 V/mm",
         }
         decisions = tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
@@ -98,9 +91,7 @@ def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
 
 
 def time_columns(names: Sequence[str], rows: FloatArray) -> list[str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that are a time axis: all steps equal, as printed,
-    and positive.
-    """
+    """Columns of *rows* (n_row, n_column) [recorded units] of equal positive steps, as printed: times."""
     return [name for name, column in zip(names, rows.T, strict=True) if step_of(column)]
 
 
@@ -115,20 +106,16 @@ def step_of(column: FloatArray) -> float:
 
 
 def copies(names: Sequence[str], rows: FloatArray) -> dict[str, str]:
-    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one: why each is no channel
-    of its own.
-
-    A copy equals the other column, or is it under a window: everywhere between zero and the other, and
-    somewhere nearly equal.
+    """Columns of *rows* (n_row, n_column) [recorded units] that repeat an earlier one, and why. A copy equals
+    the other column, or lies between zero and it, and somewhere nearly equals it: under a window.
     """
     copied: dict[str, str] = {}
     for number, name in enumerate(names):
-        for other in range(len(names)):
-            if other == number or names[other] in copied:
+        for place, other in enumerate(names):
+            if place == number or other in copied:
                 continue
-            reason = _repetition(rows[:, number], rows[:, other], other < number)
-            if reason:
-                copied[name] = f"{reason} of {names[other]}"
+            if reason := _repetition(rows[:, number], rows[:, place], place < number):
+                copied[name] = f"{reason} of {other}"
                 break
     return copied
 
@@ -147,9 +134,8 @@ def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
 
 
 def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | None:
-    """The warning of *measured* columns whose copies in the same file have the window that a pipeline states.
-
-    A damping that they never had is then taken off them: zeta comes out 1 / (w_n tau) too small.
+    """The warning of *measured* columns whose copies alone have the window that a pipeline states. A damping
+    that they never had is taken off them: zeta comes out 1 / (w_n tau) too small.
     """
     names, rows = first_rows(table)
     number = {name: n for n, name in enumerate(names)}
@@ -172,25 +158,21 @@ def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | 
 def guess_channels(
     names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None
 ) -> list[GuessedChannel]:
-    """A channel for every column by its name, unit and sensitivity.
-
-    The force of a rig with one response acts along it.
-    """
+    """A channel for every column by its metadata. The force of a rig with one response acts along it."""
     keys: list[str] = []
     for name in names:
         keys.append(_key(name, keys))
     guessed = [_guess(name, key, units.get(name, "")) for name, key in zip(names, keys, strict=True)]
     guessed = [_sense(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
-    if len({_node(name) for name in names if _node(name)}) > 1:
+    if len({*map(_node, names)} - {""}) > 1:
         guessed = [replace(c, dof=f"{_node(c.column)}.{c.dof}") if _node(c.column) else c for c in guessed]
     outputs = [channel for channel in guessed if channel.role == "output"]
     return [_along(channel, outputs) for channel in guessed]
 
 
 def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
-    """The channels, where none is a force the shortest hits of an unknown quantity, or of volts, as one.
-
-    *rows* (n_sample, n_channel) [recorded units]. What a hit excites looks like one, too, and lasts longer.
+    """The channels of *rows* (n_sample, n_channel) [recorded units], where none is a force the shortest hits
+    of an unknown quantity, or of volts, as one: what a hit excites lasts longer.
     """
     lengths = {
         n: float(np.sum(signal**2) / np.max(np.abs(signal)) ** 2)
@@ -236,22 +218,14 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
 
 
 def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
-    """The channel with the sensitivity that the file states, for a sensor recorded in volts: its unit says
-    what is measured.
-    """
+    """The channel with the sensitivity of a sensor in volts, whose unit says what is measured."""
     match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
     if match is None or _measured_in(channel.unit) != "voltage":
         return channel
-    try:
-        dimensions = [reading.dimension for reading in readings(match[1])]
-    except UnitError:
-        return channel
-    volt = parse_unit("V").dimension
+    stated, volt = _dimensions(match[1]), parse_unit("V").dimension
     for quantity in _RECORDED:
-        wanted = tuple(
-            u - q for u, q in zip(volt, parse_unit(QUANTITIES[quantity].si_unit).dimension, strict=True)
-        )
-        if wanted in dimensions and quantity != "voltage":
+        wanted = tuple(u - q for u, q in zip(volt, _si_dimension(quantity), strict=True))
+        if wanted in stated and quantity != "voltage":
             role = DEFAULT_ROLES.get(quantity, "reference")
             return replace(channel, quantity=quantity, role=role, sensitivity=sensitivity.strip(), guess="")
     return channel
@@ -259,20 +233,24 @@ def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
 
 def _measured_in(unit: str) -> str:
     """The quantity that is recorded in a unit; nothing for a number or an unknown unit."""
-    if not unit:
-        return ""
+    dimensions = _dimensions(unit)
+    return next((name for name in _RECORDED if _si_dimension(name) in dimensions), "")
+
+
+def _si_dimension(quantity: str) -> Dimension:
+    return parse_unit(QUANTITIES[quantity].si_unit).dimension
+
+
+def _dimensions(unit: str) -> list[Dimension]:
+    """The dimensions that a unit can have; none for an unknown one."""
     try:
-        dimensions = [reading.dimension for reading in readings(unit)]
+        return [reading.dimension for reading in readings(unit)]
     except UnitError:
-        return ""
-    matching = (name for name in _RECORDED if parse_unit(QUANTITIES[name].si_unit).dimension in dimensions)
-    return next(matching, "")
+        return []
 
 
 def _node(name: str) -> str:
-    """The node of a point and direction such as "12-Z" of a universal file or "shaft:12:-Z" of Test.Lab, ''
-    for other names.
-    """
+    """The node of a point such as "12-Z" (universal files) or "shaft:12:-Z" (Test.Lab), '' for others."""
     match = _POINT.match(name)
     return match[1] if match else ""
 
@@ -280,9 +258,8 @@ def _node(name: str) -> str:
 def _direction(name: str) -> str:
     """x, y or z where the name has one as a word or at its end."""
     plain_name = _BRACKETS.sub(" ", name)
-    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I) or re.search(
-        r"[a-z]([XYZ])\b", plain_name
-    )
+    match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I)
+    match = match or re.search(r"[a-z]([XYZ])\b", plain_name)
     return match[1].lower() if match else ""
 
 
@@ -323,10 +300,8 @@ Numbers = FloatArray | ComplexArray
 
 def highest_peak(mobility: Numbers, coherence: FloatArray | None = None) -> tuple[int, bool]:
     """The line of the highest peak of a *mobility* (n_line,) [1] that looks like a mode, or that the force
-    explains by its *coherence* (n_line,) [1], and whether there is one.
-
-    A value at an end is none, and neither is one that hardly stands out of its surroundings, or whose lines
-    follow no pole; without any it is the highest of all.
+    explains by its *coherence* (n_line,) [1], and whether there is one. Neither an end nor what hardly stands
+    out, or follows no pole, is one; without any it is the highest of all.
     """
     size = np.abs(mobility)
     peaks = peaks_of(size)
@@ -347,10 +322,9 @@ def peaks_of(mobility: FloatArray) -> IntArray:
     places = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:])) + 1
     apart, kept = max(y.size // 400, 1), np.ones(places.size, bool)
     for n in np.argsort(y[places])[::-1]:
-        near = np.abs(places - places[n]) < apart
-        near[n] = False
         if kept[n]:
-            kept[near] = False
+            kept &= np.abs(places - places[n]) >= apart
+            kept[n] = True
     return np.array([k for k in places[kept] if _prominence(y, int(k)) >= STANDS_OUT], np.intp)
 
 

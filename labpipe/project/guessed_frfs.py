@@ -59,9 +59,7 @@ class GuessedFrf:
 
 
 def guessed_frf(path: Path) -> GuessedFrf | None:
-    """The FRFs of a table or of variables of another program, or of universal records that leave their form
-    open. None for any other file.
-    """
+    """The FRFs of a table, of variables or of universal records without a form; None for other files."""
     suffix = plain_suffix(path)
     if suffix in frf_described.VARIABLE_SUFFIXES:
         return _of_variables(frf_described.columns_of_variables(path))
@@ -87,9 +85,7 @@ LEAST_STEP = 0.05
 
 
 def _of_table(path: Path) -> GuessedFrf | None:
-    """The FRF of a text table whose header names a frequency and the parts of complex numbers, or of one
-    without a header, of three columns of which the first counts frequencies.
-    """
+    """The FRF of a text table by its header, or without one of three columns, the first a frequency."""
     table = frf_described.TextColumns(path)
     if len(table.columns) == 3 and not any(re.search(r"[A-Za-z]{2}", name) for name in table.columns):
         return _without_header(table)
@@ -149,9 +145,7 @@ _OTHERS = {"amplitude": ("phase", r"phase|arg|ang(le)?"), "re": ("im", r"im(ag)?
 
 
 def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
-    """The FRFs among variables: complex vectors, or amplitudes with their phases, beside a rising vector of
-    as many real numbers.
-    """
+    """The FRFs among variables: complex vectors, or amplitudes and phases, beside a rising vector."""
     vectors = _vectors(source)
     elements, doubts = _complex_elements(vectors)
     if not elements:
@@ -186,9 +180,7 @@ def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatAr
 
 
 def _by_labels(source: frf_described.DescribedColumns, elements: Elements) -> tuple[Elements, str]:
-    """The elements by the labels of their responses, and the label of their one reference, where the file has
-    these.
-    """
+    """The elements by the labels of their responses, and that of their one reference, if there are any."""
     labels: dict[str, str] = {}
     references: set[str] = set()
     for part in source.signals:
@@ -240,21 +232,15 @@ def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
     elements: Elements = {}
     doubts: list[str] = []
     for name, vector in vectors.items():
+        alike = [other for other, part in vectors.items() if part.size == vector.size]
         for kind, pattern in _PARTS:
             match = re.search(rf"_?({pattern})$", name, re.IGNORECASE)
             is_axis = bool(np.all(np.diff(vector) > 0))
             if match is None or not match.start() or is_axis or not _FRF.search(name):
                 continue
             stem, (other, wanted) = name[: match.start()], _OTHERS[kind]
-            partner = next(
-                (
-                    amplitude
-                    for amplitude in vectors
-                    if re.fullmatch(rf"{re.escape(stem)}_?({wanted})", amplitude, re.IGNORECASE)
-                    and vectors[amplitude].size == vector.size
-                ),
-                "",
-            )
+            partner_name = re.compile(rf"{re.escape(stem)}_?({wanted})", re.IGNORECASE)
+            partner = next(filter(partner_name.fullmatch, alike), "")
             if partner and other == "phase":
                 other = "phase_rad" if np.abs(vectors[partner]).max() <= np.pi * (1 + 1e-6) else "phase_deg"
                 doubts.append(f"{other} by its largest number")
@@ -264,9 +250,7 @@ def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
 
 
 def _axis_of(vectors: Vectors, size: int, elements: Elements) -> str:
-    """The rising vector of *size* real numbers that is the frequency: by its name, else one beside an FRF in
-    a matrix, else the only one; '' for none.
-    """
+    """The rising vector of *size* numbers that is the frequency: by name, matrix, or as the only one."""
     real = {name: part for name, part in vectors.items() if part.size == size and not np.iscomplexobj(part)}
     rising = [name for name, part in real.items() if part[0] >= 0 and np.all(np.diff(part) > 0)]
     stems = {name.rpartition("_")[0] for name in elements}

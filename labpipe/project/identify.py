@@ -1,6 +1,4 @@
-"""identify: frequency responses or free decays -> identification.json, every rule of the pipeline held
-against it.
-"""
+"""identify: responses or decays -> identification.json, every rule of the pipeline held against it."""
 
 from __future__ import annotations
 
@@ -42,10 +40,9 @@ def identify_stage(
     failed: Sequence[Failed] = (),
     inputs: Sequence[SourceRef] = (),
 ) -> Identification:
-    """The identification of all tests and sections of a pipeline, made unless the one on disk is fresh.
-    *jobs*: processes of the study, 0 for one per processor. *test_fits*: those made already, by their name in
-    the pipeline. *failed*: the tests that are missing. *inputs*: the digests of what was measured, by which a
-    change of a rig or recording reaches the result.
+    """The identification of all tests and sections, made unless the one on disk is fresh. *jobs*: processes
+    of the study, 0 for one per processor. *test_fits*: those made already. *failed*: missing tests. *inputs*:
+    digests of what was measured, by which a change of a rig or recording reaches the result.
     """
     basis = Identification(
         fits=(),
@@ -90,9 +87,8 @@ def _run_sections(work: Work) -> dict[str, Any]:
 
 
 def _same_work(existing: Identification, basis: Identification) -> bool:
-    failed_tests = tuple(
-        failure for failure in existing.failed if not failure.name.startswith((COMPARE_PREFIX, FIT_PREFIX))
-    )
+    of_sections = (COMPARE_PREFIX, FIT_PREFIX)
+    failed_tests = tuple(fail for fail in existing.failed if not fail.name.startswith(of_sections))
     same = all(getattr(existing, name) == getattr(basis, name) for name in BASIS)
     return same and failed_tests == basis.failed
 
@@ -113,9 +109,7 @@ def _existing(output: OutputFolder) -> Identification | None:
 
 
 def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> dict[str, Any]:
-    """All settings of a pipeline as JSON holds them, so that another lab can repeat the work. Conditions as
-    the *tests* had them.
-    """
+    """All settings of a pipeline as JSON; conditions as the *tests* had them."""
     measured = {test.name: test.conditions for test in tests}
     entry: dict[str, Any] = {
         "frf": pipeline.frf,

@@ -146,9 +146,7 @@ def named_times(table: Table) -> list[str]:
 
 
 def _check_rate(table: Table, rig: Rig) -> None:
-    """DataError where times in a unit say another rate than the rig file; few digits may change their median
-    step, gaps their mean one, and neither both.
-    """
+    """DataError for times at another rate by mean and median step, of which gaps or digits change one."""
     stated = rig.sample_rate or 0.0
     for name in named_times(table) if stated else ():
         if table.columns.count(name) > 1 or name not in table.units:
@@ -164,9 +162,7 @@ def _check_rate(table: Table, rig: Rig) -> None:
 
 
 def check_table(table: Table, rig: Rig) -> list[str]:
-    """The columns of the rig's channels, the time before them. DataError for one that is missing, or whose
-    unit is another.
-    """
+    """The columns of the rig's channels, the time first. DataError for a missing one or another unit."""
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
     check_time(table, rig.time)
@@ -192,9 +188,7 @@ class Calibration:
         self._changes = (self._scale != 1) | (self._offset != 0)
 
     def measured(self, chunk: FloatArray) -> FloatArray:
-        """Recorded columns (n, n_measured) [unit of the file] in SI units. Those of a file that holds these
-        already are not copied.
-        """
+        """Recorded columns (n, n_measured) [unit of the file] in SI units, not copied where they are."""
         if not self._changes.any():
             return chunk
         block: FloatArray = chunk * self._scale
@@ -207,17 +201,14 @@ class Calibration:
         return values * self._scale[number] + self._offset[number] if self._changes[number] else values
 
     def in_rows(self, columns: Sequence[FloatArray]) -> FloatArray:
-        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], the channels of a sample side by
-        side.
-        """
+        """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], sample by sample."""
         block = np.empty((columns[0].size, len(columns)))
         for start in range(0, block.shape[0], IN_CACHE):
             piece = slice(start, start + IN_CACHE)
             for number, column in enumerate(columns):
                 # Single precision becomes double where it is put.
-                block[piece, number] = (
-                    self.of_channel(number, column[piece]) if self._changes[number] else column[piece]
-                )
+                changes, recorded = self._changes[number], column[piece]
+                block[piece, number] = self.of_channel(number, recorded) if changes else recorded
         return block
 
     def with_sums(self, block: FloatArray) -> FloatArray:
@@ -271,9 +262,7 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
 
 
 def stated_rate(table: Table, rig: Rig) -> float:
-    """The sampling rate [Hz] that the rig file or the file itself states. DataError when none does, or both
-    do and differ.
-    """
+    """The rate [Hz] that the rig file or the file states. DataError for none, or two that differ."""
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
         message = "states no sampling rate, and one of sample_rate and time is needed in the rig file"
@@ -296,17 +285,13 @@ def _rate_of_times(screen: TimeAxisScreen, table: Table) -> float:
 def _check_unit(table: Table, channel: RigChannel) -> None:
     stated = table.units.get(channel.column)
     if stated is not None and not may_agree(stated, channel.unit):
-        what = (
-            f"column '{channel.column}' is in {stated} by the file's own header, in {channel.unit} by "
-            "the rig file"
-        )
+        by_rig = f"in {channel.unit} by the rig file"
+        what = f"column '{channel.column}' is in {stated} by the file's own header, {by_rig}"
         raise DataError(what, table.path, f"correct the unit of channel '{channel.channel.name}'")
 
 
 def _si_limits(channel: RigChannel) -> tuple[float, float] | None:
-    """The recorded values at which the logger clips, in SI units of the channel, increasing. Pulses have flat
-    ends and none.
-    """
+    """Where the logger clips [SI of the channel], increasing. Pulses have flat ends and no limits."""
     if channel.limits is None:
         return FAR if channel.channel.quantity == "tacho" else None
     low, high = sorted(limit * channel.scale + channel.offset for limit in channel.limits)
@@ -319,11 +304,8 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     names: dict[str, None] = {}
     numbers: dict[str, int] = {}
     for path in paths:
-        stem = (
-            path.name.removesuffix(recording_file.SUFFIX)
-            if path.name.endswith(recording_file.SUFFIX)
-            else path.stem
-        )
+        stem = path.name.removesuffix(recording_file.SUFFIX)
+        stem = path.stem if stem == path.name else stem
         name, number = stem, numbers.get(stem, 1)
         while name in names:
             number += 1
@@ -361,9 +343,7 @@ def raw_recording(source: Path, rig: Rig, base: Path) -> RawRecording | None:
 
 
 class RawRecording:
-    """The channels of a raw file [SI]. Satisfies SampleSource. *findings* and digest are of the first whole
-    reading.
-    """
+    """The channels of a raw file [SI], a SampleSource. Findings and digest are of the first reading."""
 
     def __init__(self, table: QuickTable, rig: Rig, base: Path) -> None:
         self.path, self.rig, self.n_sample, self.name = table.path, rig, table.n_row, table.path.stem
@@ -376,9 +356,7 @@ class RawRecording:
 
     @cached_property
     def sample_rate(self) -> float:
-        """Rate [Hz] as the rig file or the raw file states it, or by the time column, which is read first, by
-        itself.
-        """
+        """Rate [Hz] as the rig file or the raw file states it, or by the time column, read first."""
         if not self.rig.time:
             return stated_rate(self._table, self.rig)
         screen = TimeAxisScreen(self.rig.time)
@@ -421,9 +399,7 @@ class RawRecording:
             self._sha256 = self._sha256 or digest.hexdigest()
 
     def _screen(self, screen: ChannelScreen, columns: Sequence[FloatArray]) -> None:
-        """Look at the next columns, each (n,) [unit of the file]: at their extremes, which calibration keeps,
-        then where those say so.
-        """
+        """Look at the extremes of columns (n,) [unit of the file], and into them where these say so."""
         calibrated = self._calibration.of_channel
         extremes = ((column.min(), column.max()) for column in columns)
         ends = np.array([[calibrated(n, end) for end in pair] for n, pair in enumerate(extremes)])

@@ -12,12 +12,11 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
-from labpipe.artefacts.writing import output_file
 from labpipe.errors import DataError
 from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import TIME_NAMES, contradictions, is_recording, named_times
 from labpipe.project.ready_response import is_response, load_response
-from labpipe.project.report import format_of
+from labpipe.project.report import write_document
 from labpipe.raw_files.first_look import EnvelopeTrack, SpectrumTrack
 from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
 from labpipe.raw_files.table import guard, open_table
@@ -35,19 +34,17 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
     """The overview of a recording, free decays or a raw file, or the response, spectra or mode shapes of a
     file, read once in blocks; DataError for one that cannot be read.
     """
-    if file.is_file() and plain_suffix(file) in UFF_SUFFIXES:
-        shapes = guard(read_shapes_uff, file)
-        if shapes is not None:
-            return shapes
+    if not file.is_file():
+        return _of_table(file, rig)
+    if plain_suffix(file) in UFF_SUFFIXES and (shapes := guard(read_shapes_uff, file)) is not None:
+        return shapes
     if is_response(file):
         return load_response(file)
-    if file.is_file() and file.name.endswith(SPECTRA_SUFFIX):
+    if file.name.endswith(SPECTRA_SUFFIX):
         return read_spectra(file)
-    if file.is_file() and file.name.endswith(DECAY_SUFFIX):
+    if file.name.endswith(DECAY_SUFFIX):
         return _of_decays(read_decays(file), file.name)
-    if file.is_file() and is_recording(file):
-        return _of_recording(open_recording(file))
-    return _of_table(file, rig)
+    return _of_recording(open_recording(file)) if is_recording(file) else _of_table(file, rig)
 
 
 def write_card(
@@ -58,7 +55,6 @@ def write_card(
     """
     if isinstance(content, FileShapes):
         raise DataError("holds mode shapes alone, which have no card", file, "leave -o out")
-    from labpipe.document.render import DOCUMENTS
     from labpipe.report.card import recording_card, response_card, spectra_card
 
     if isinstance(content, ChannelSpectra):
@@ -67,9 +63,7 @@ def write_card(
         document = response_card(content, file)
     else:
         document = recording_card(content)
-    written: bytes = DOCUMENTS.load(format_of(path))(document)
-    with output_file(path) as target:
-        target.write_bytes(written)
+    write_document(document, path)
 
 
 class _Look:

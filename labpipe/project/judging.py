@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from labpipe.display import amount_text, with_error
 from labpipe.errors import ConfigError
 from labpipe.project import deciding
 from labpipe.project.rules import ALSO, NOT, Rule
-from labpipe.quantities import UnitError, in_unit, parse_value, written_unit
+from labpipe.quantities import UnitError, parse_value, written_unit
 from labpipe.records.comparison import Comparison, ConditionMatrices
 from labpipe.records.dataset import PartialOutcome
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
@@ -48,21 +48,12 @@ def compare_number(
 
 
 def found_text(rule: Rule, value: float, unit: str) -> str:
-    """The value [*unit*, SI] in the unit of the rule, or where that has none (0) in the usual one. UnitError
-    for a wrong one.
-    """
-    written = written_unit(split_uncertainty(rule.bound)[0])
-    return (
-        with_error(in_unit(value, unit, written), None, written)
-        if written
-        else amount_text(value, None, unit)
-    )
+    """The value [*unit*, SI] in the unit of the rule, for 0 in the usual one. UnitError for a wrong one."""
+    return deciding.text_in(written_unit(split_uncertainty(rule.bound)[0]), value, None, unit)
 
 
 def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> deciding.Compared:
-    """Whether a 95 % interval [*unit*, SI] covers the value of the rule. The interval as text, in SI and in
-    the unit of the rule.
-    """
+    """Whether a 95 % interval [*unit*, SI] covers the value of the rule."""
     try:
         wanted = parse_value(rule.bound, unit)
         if ci95 is None:
@@ -108,10 +99,8 @@ def judge(
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
-            if rule.together:
-                outcomes.append(together(rule, fits, records))
-            else:
-                outcomes.append(_on_section(rule, records) or whole_outcome(rule, judged_part(rule, fits)))
+            of_all = together(rule, fits, records) if rule.together else _on_section(rule, records)
+            outcomes.append(of_all or whole_outcome(rule, judged_part(rule, fits)))
         except ConfigError:
             if not incomplete:
                 raise
@@ -125,9 +114,7 @@ def unfounded(rule: Rule) -> RuleOutcome:
 
 
 def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
-    """A failed rule for every fit with a warning that forbids to accept it, unless a rule on its warnings
-    expects that one.
-    """
+    """A failed rule for every fit with a forbidding warning that no rule on its warnings expects."""
     on_warnings = [rule for rule in rules if rule.item == "warnings"]
     codes: dict[str, str] = {}
     for fit in fits:
@@ -165,9 +152,8 @@ def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> Rul
         try:
             numbers.extend(_limit(member, fits, records))
         except UnitError as error:
-            raise ConfigError(
-                f"{member.section}.{rule.address}.{member.address}: {error.what}", member.place, error.hint
-            ) from None
+            inner = replace(member, address=f"{rule.address}.{member.address}")
+            raise inner.fault(error.what, error.hint) from None
     return deciding.decided_together(rule, numbers)
 
 
@@ -180,9 +166,8 @@ def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[
         if isinstance(record, Comparison) and record.name == rule.fit
     ]
     if comparisons:
-        return [
-            deciding.limited_by_comparison(rule, comparisons[0], _amount(rule, comparisons[0], rule.item))
-        ]
+        amount = _amount(rule, comparisons[0], rule.item)
+        return [deciding.limited_by_comparison(rule, comparisons[0], amount)]
     addressed = _having(rule, _address(rule, fits))
     if not addressed or rule.item in _FIT_VALUES:
         raise UnitError("no such fit or parameter in the result", "limits together need parameters of fits")
@@ -190,9 +175,7 @@ def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[
 
 
 def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
-    """What a rule finds in the fits of some tests, or of all: it must hold for each fit that it addresses
-    (bands, terms, tests).
-    """
+    """What a rule finds in fits: it must hold for each that it addresses (bands, terms, tests)."""
     if rule.together:
         try:
             return PartialOutcome(outcome=together(rule, fits, {}), addressed=len(fits))
@@ -236,9 +219,7 @@ def whole_outcome(rule: Rule, partial: PartialOutcome) -> RuleOutcome:
 
 
 def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
-    """All fits of the rule's name, or those that stand in brackets: a test's name, a diagonal term or the
-    centre of a band.
-    """
+    """The fits of the rule's name, or by what stands in brackets: test, diagonal term or centre of a band."""
     try:
         centre = parse_value(rule.which, "Hz")
     except UnitError:
@@ -255,9 +236,7 @@ def _address(rule: Rule, fits: Sequence[Fit]) -> list[Fit]:
 
 
 def compare_warnings(rule: Rule, findings: Iterable[Finding]) -> deciding.Compared:
-    """ "collinear" must be among the warnings, "not collinear" must not, "also collinear" may; "none" means
-    no warning at all.
-    """
+    """ "collinear" must be there, "not collinear" must not, "also collinear" may; "none": no warning."""
     codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, findings)))
     code = rule.bound
     if code == "none":
@@ -297,12 +276,8 @@ def _compare_item(rule: Rule, fit: Fit) -> deciding.Compared:
     return _compare_attribute(rule, fit.parameter(name), attribute)
 
 
-def _compare_parameter(rule: Rule, parameter: Parameter, compare: CompareNumber) -> deciding.Compared:
-    errors = deciding.stated_error(parameter), deciding.expanded_of(parameter)
-    return compare(rule, parameter.value, parameter.unit, *errors)
-
-
 def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deciding.Compared:
+    """A parameter, or an *attribute* of it such as its standard error, against the rule."""
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
         return text, text == rule.bound, text, None
@@ -315,7 +290,8 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
     if attribute:
         what = f"'{parameter.name}' has no '{attribute}'"
         raise rule.fault(what, nearest(attribute, ("std_error", "expanded", "covers", "significant")))
-    return _compare_parameter(rule, parameter, compare_number)
+    errors = deciding.stated_error(parameter), deciding.expanded_of(parameter)
+    return compare_number(rule, parameter.value, parameter.unit, *errors)
 
 
 def comparison_outcome(
@@ -347,7 +323,7 @@ def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:
         raise rule.fault(f"the comparison has no '{name}'", hint) from None
 
 
-def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: CompareNumber) -> RuleOutcome:
+def matrix_outcome(rule: Rule, matrices: ConditionMatrices, _compare_number: CompareNumber) -> RuleOutcome:
     """The outcome of a rule on an amount of a matrix; ConfigError for an unknown one."""
     matrix = next(candidate for candidate in matrices if candidate.name == rule.fit)
     try:
@@ -355,4 +331,4 @@ def matrix_outcome(rule: Rule, matrices: ConditionMatrices, compare_number: Comp
     except KeyError:
         hint = nearest(rule.item, [amount.name for amount in matrix.amounts])
         raise rule.fault(f"the matrix has no '{rule.item}'", hint) from None
-    return rule.outcome(*_compare_parameter(rule, amount, compare_number))
+    return rule.outcome(*_compare_attribute(rule, amount, ""))

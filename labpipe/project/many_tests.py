@@ -40,9 +40,8 @@ def keeps_dataset(pipeline: Pipeline, independent: Sequence[str]) -> bool:
         return False
     what = hindrance(pipeline, independent)
     if what:
-        raise ConfigError(
-            f"results: {what}, which needs all tests at once", pipeline.path, "write results: whole"
-        )
+        what = f"results: {what}, which needs all tests at once"
+        raise ConfigError(what, pipeline.path, "write results: whole")
     return True
 
 
@@ -64,10 +63,9 @@ def hindrance(pipeline: Pipeline, independent: Sequence[str]) -> str:
     dependent = [fit.name for fit in pipeline.fits if fit.name not in independent]
     if dependent:
         return f"the fit {dependent[0]} begins with another one"
-    levels = [
-        name for test in pipeline.tests for name in (*test.conditions, *test.recorded) if name in LEVELS
-    ]
-    return f"the condition '{levels[0]}' asks whether the rig is linear" if levels else ""
+    conditions = (name for test in pipeline.tests for name in (*test.conditions, *test.recorded))
+    level = next((name for name in conditions if name in LEVELS), "")
+    return f"the condition '{level}' asks whether the rig is linear" if level else ""
 
 
 class Gathered:
@@ -109,10 +107,8 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
     """The result of all tests, which sums the dataset up; other parts in the folder go."""
     failed = gathered.summary.failed
     if failed and not gathered.summary.index.tests:
-        raise DataError(
-            f"{failed[0].message} (and none of the other {gathered.summary.index.failed - 1} "
-            "tests could be evaluated)"
-        )
+        others = f"and none of the other {gathered.summary.index.failed - 1} tests could be evaluated"
+        raise DataError(f"{failed[0].message} ({others})")
     _remark_damaged(output, gathered.parts)
     parts_made = {name: source_ref(output.read_path(name), output.target) for name in gathered.parts}
     inputs = tuple(asdict(SourceRef(name, part.sha256)) for name, part in parts_made.items())
@@ -124,9 +120,7 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
 
 
 def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
-    """The result of many tests without the parts of its dataset. ConfigError for a rule that addresses
-    nothing where no test failed.
-    """
+    """The result of many tests but its parts. ConfigError for a rule on nothing where no test failed."""
     return Identification(
         fits=(),
         title=pipeline.title,

@@ -5,7 +5,7 @@ the plain Python value. ``--set`` edits it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -30,9 +30,7 @@ class Marked:
 
     @property
     def place(self) -> str:
-        """Place at which a fault of this entry is reported: its key, or the node itself (list entries, the
-        whole file).
-        """
+        """Where a fault of this entry is reported: its key, or the node (of lists, the whole file)."""
         return self.key_where or self.where
 
     @property
@@ -55,18 +53,17 @@ class Marked:
         return self.content
 
 
+def text_of(entries: Mapping[str, Marked], name: str, default: str = "") -> str:
+    """The text of an entry, the default where it is not there."""
+    return entries[name].text if name in entries else default
+
+
 class _Loader(yaml.SafeLoader):
-    """Safe YAML whose scalars keep a plain reading: no dates, no 1_000, no sexagesimal 45:30, no yes/no
-    booleans.
-    """
+    """Safe YAML with plain scalars: no dates, no 1_000, no sexagesimal 45:30, no yes/no booleans."""
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [
-        (tag, regexp)
-        for tag, regexp in resolvers
-        if tag in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")
-    ]
+    first: [pair for pair in resolvers if pair[0] in ("tag:yaml.org,2002:null", "tag:yaml.org,2002:merge")]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 
@@ -79,16 +76,13 @@ MOST_KEPT = 1 << 15
 
 
 def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
-    """The marked tree of a YAML file with the entries of *overrides*; ConfigError with the place of a
-    fault.
-    """
+    """The marked tree of a YAML file with the *overrides*; ConfigError with the place of a fault."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise ConfigError("is no regular file", path)
         if path.is_file() and path.stat().st_size > MOST_BYTES:
-            raise ConfigError(
-                f"has more than {MOST_BYTES >> 20} MB", path, "a YAML file of settings is needed"
-            )
+            what = f"has more than {MOST_BYTES >> 20} MB"
+            raise ConfigError(what, path, "a YAML file of settings is needed")
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError("no such file", path) from None
@@ -110,7 +104,7 @@ def parse_marked(text: str, name: str) -> Marked:
         node = _compose(text) if len(text) <= MOST_KEPT else _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
+        place = _place(mark, name) if mark else name
         raise ConfigError(f"not valid YAML: {error.problem or error.context}", place) from None
     except RecursionError:
         raise ConfigError("not valid YAML: nested too deeply", name) from None
@@ -138,9 +132,7 @@ def _place(mark: yaml.Mark, name: str) -> str:
 
 
 class _Tree:
-    """The marked nodes of one file: counted, since a few aliases of aliases stand for more than any memory
-    holds.
-    """
+    """The marked nodes of one file: counted, since aliases of aliases may stand for any number."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -170,9 +162,8 @@ class _Tree:
                 raise ConfigError("a key must be a plain name", where)
             key = str(key_node.value)
             if key in entries:
-                self.duplicates.append(
-                    ConfigError(f"{key}: the key appears twice", where, f"first at {entries[key].key_where}")
-                )
+                hint = f"first at {entries[key].key_where}"
+                self.duplicates.append(ConfigError(f"{key}: the key appears twice", where, hint))
                 continue
             entries[key] = self.marked(value_node, above)
             entries[key].key_where = where
@@ -180,9 +171,7 @@ class _Tree:
 
 
 def _scalar(node: yaml.Node) -> Any:
-    """Text, None, bool or number: a number only when it is written as one (45 is, '45' and 45 deg are
-    not).
-    """
+    """Text, None, bool or number: a number only when written as one (45 is, '45' and 45 deg are not)."""
     text = str(node.value)
     if getattr(node, "style", None) in ("'", '"', "|", ">"):
         return text
@@ -199,9 +188,7 @@ def _scalar(node: yaml.Node) -> Any:
 
 
 def set_entry(root: Marked, assignment: str) -> None:
-    """Apply ``key.sub=value`` (the value is YAML) to the tree; list entries by number. ConfigError where it
-    is impossible.
-    """
+    """Apply ``key.sub=value`` (YAML) to the tree; list entries by number. ConfigError where it cannot."""
     path, equals, text = assignment.partition("=")
     where = f"{SET} {assignment}"
     if not equals or not path.strip():
@@ -220,9 +207,7 @@ def set_entry(root: Marked, assignment: str) -> None:
 
 
 def _plain_or_yaml(text: str, where: str) -> Marked:
-    """The value as YAML, or as plain text where it begins with a sign such as '>=' that is reserved in
-    YAML.
-    """
+    """The value as YAML, or as text where it begins with a sign such as '>=', reserved in YAML."""
     if not text.strip() or text.lstrip()[0] in "><%@`&*!|":
         return Marked(text.strip(), where, where, text.strip())
     value = parse_marked(text, where)

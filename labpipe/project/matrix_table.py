@@ -1,6 +1,4 @@
-"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl
-frequency.
-"""
+"""Matrices of tests as tables: for people and data frames, and for rotor codes over speed and whirl."""
 
 from __future__ import annotations
 
@@ -20,9 +18,8 @@ from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_u
 from labpipe.records.identification import Fit, Identification
 
 # Coefficients of a rotor code by our names.
-ROTOR_NAMES = {
-    f"{letter}_{axes}": f"{letter}{axes}" for letter in ("k", "c") for axes in ("xx", "xy", "yx", "yy")
-}
+AXES = ("xx", "xy", "yx", "yy")
+ROTOR_NAMES = {f"{letter}_{axes}": f"{letter}{axes}" for letter in "kc" for axes in AXES}
 # Whirl frequencies of a rotor table where the fit's band does not give them.
 N_WHIRL = 9
 
@@ -46,9 +43,7 @@ def _matrices(artefact: Path) -> tuple[Identification, tuple[ConditionMatrix, ..
 
 
 def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
-    """One row for every point and coefficient: conditions with their units, value with its uncertainty,
-    repeats, theory [SI].
-    """
+    """One row per point and coefficient: conditions, value, uncertainty, repeats, theory [SI]."""
     rows = []
     for matrix in matrices:
         for point in matrix.points:
@@ -107,9 +102,8 @@ def rotor_sheets(
             groups.setdefault(point.place[:place] + point.place[place + 1 :], []).append(point)
         for points in groups.values():
             number += 1
-            others = [
-                axis.text(matrix.levels_of(points[0])[n]) for n, axis in enumerate(matrix.axes) if n != place
-            ]
+            levels = list(zip(matrix.axes, matrix.levels_of(points[0]), strict=True))
+            others = [axis.text(level) for axis, level in (*levels[:place], *levels[place + 1 :])]
             speeds = [matrix.levels_of(point)[place] for point in points]
             courses = [_course(identification, matrix, point) for point in points]
             pairs = list(zip(speeds, courses, strict=True))
@@ -154,7 +148,7 @@ def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit
 
 
 def _square(point: MatrixPoint, letter: str) -> FloatArray:
-    values = [point.value(f"{letter}_{axes}") for axes in ("xx", "xy", "yx", "yy")]
+    values = [point.value(f"{letter}_{axes}") for axes in AXES]
     return np.array([0.0 if value is None else value.parameter.value for value in values]).reshape(2, 2)
 
 
@@ -164,9 +158,7 @@ def _interpolate(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) ->
 
 
 def _coefficients(course: Course, frequency: FloatArray) -> FloatArray:
-    """k = Re H and c = Im H / w (n, 8) [SI] at frequencies (n,) [Hz]; beyond the band that was measured,
-    those of its end.
-    """
+    """k = Re H, c = Im H / w (n, 8) [SI] at (n,) [Hz]; beyond the measured band those of its end."""
     within = np.clip(frequency, course[0][0], course[0][-1])
     stiffness = _interpolate(*course, within).reshape(-1, 4)
     return np.hstack([stiffness.real, stiffness.imag / (2 * np.pi * within[:, None])])

@@ -1,7 +1,4 @@
-"""What a test is measured as: its frequency response, its free decays, or the spectra of its channels.
-
-One file for each test.
-"""
+"""What a test is measured as, one file each: frequency response, free decays, or spectra of its channels."""
 
 from __future__ import annotations
 
@@ -81,9 +78,7 @@ def measured_header(
     test: str,
     conditions: dict[str, str] | None,
 ) -> Header:
-    """The header of what is measured from recordings. Of raw ones with their rigs, which make them what they
-    are.
-    """
+    """The header of what is measured from recordings, of raw ones with their rigs."""
     frf = dataclasses.asdict(settings)
     parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
     raw = [recording for recording in recordings if isinstance(recording, RawRecording)]
@@ -213,9 +208,7 @@ def measure_test(
 
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
-    """What labpipe measured, or a ready response of any other program. Name and conditions of its test take
-    the place of its own.
-    """
+    """What labpipe measured, or any ready response; *name*, *conditions*: of its test, for its own."""
     kind = _kind_of_file(path)
     if kind is None or not path.is_file():
         # The readers of other programs' files are not imported by a run that reads its own responses.
@@ -229,12 +222,11 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
     return dataclasses.replace(result, name=name, conditions=conditions)
 
 
-def load_ready_measured(
-    ready: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None
-) -> MeasuredTest:
+def load_ready_measured(ready: ReadyFrf, test: str, conditions: dict[str, str]) -> MeasuredTest:
     """What stands under frfs: of a test: what labpipe measured, or a response of any layout."""
-    if ready.layout is None and _kind_of_file(ready.paths[0]) is not None:
-        return load_measured(ready.paths[0], test or ready.name, conditions)
-    from labpipe.project.ready_response import load_ready
+    name = test or ready.name
+    if ready.layout is None:
+        return load_measured(ready.paths[0], name, conditions)
+    from labpipe.project.ready_response import load_described
 
-    return load_ready(ready, test, conditions)
+    return load_described(ready, ready.layout, name, conditions)

@@ -1,6 +1,4 @@
-"""The work of one test, by itself: its recordings -> its response or decays -> its fits, all on disk, and
-what it comes to.
-"""
+"""The work of one test: its recordings -> its response or decays -> its fits on disk, and its result."""
 
 from __future__ import annotations
 
@@ -69,9 +67,7 @@ from labpipe.spectra.shaft import shaft_motion
 
 
 def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
-    """The fits and the response of one test from the files in the *folder* of the result. ConfigError for a
-    test that it does not have.
-    """
+    """The fits and the response of one test in a result's *folder*. ConfigError for an unknown test."""
     rows = read_rows(folder)
     names = rows["test"].to_pylist()
     if test not in names:
@@ -177,9 +173,7 @@ def change_day(path: Path) -> str:
 
 
 def digest_of_sources(sources: Sequence[SourceRef]) -> str:
-    """SHA-256 over the digests of a test's files, or that of the file where it is one. Empty where none could
-    be read.
-    """
+    """SHA-256 over the digests of a test's files, or of its only file; empty where none was read."""
     digests = [source.sha256 for source in sources]
     if len(digests) <= 1:
         return digests[0] if digests else ""
@@ -271,9 +265,7 @@ def work(job: Job) -> Done:
 
 @contextmanager
 def brought(job: Job) -> Iterator[Job]:
-    """The job with recordings of this machine: those of an object storage lie in its scratch folder
-    meanwhile.
-    """
+    """The job with its recordings on this machine: objects of a storage lie in the scratch folder."""
     paths = [path for source in job.test.recordings for path in source.paths]
     with fetch([] if job.measured_before else paths, job.scratch) as here:
         recordings = tuple(source.at(here) for source in job.test.recordings)
@@ -313,9 +305,7 @@ def _ready_sources(job: Job) -> list[SourceRef]:
 
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
-    """The test measured from its raw files as they are read; their references. None where they need a
-    calibrated recording, or a fault was met: its checks name that.
-    """
+    """The references of raw files measured as they are read; None where they need `ingest`."""
     if (
         job.frf is None
         or job.test.recorded
@@ -348,11 +338,8 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        stored.append(
-            ingest(
-                source.path, source.rig, output, f"recordings/{name}", job.folder, source.joined, source.by
-            )
-        )
+        where = (output, f"recordings/{name}", job.folder)
+        stored.append(ingest(source.path, source.rig, *where, source.joined, source.by))
     if stored:
         if job.frf is None:
             raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
@@ -411,9 +398,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
 
 
 def _check_unchanged(raw: Path, made: Path, recorded: Sequence[SourceRef], base: Path) -> None:
-    """DataError for a raw file that was written since and holds something else. One that is gone is not
-    asked for.
-    """
+    """DataError for a raw file that was written since and has other content. One may be gone."""
     if is_remote(raw) or not raw.exists() or raw.stat().st_mtime <= made.stat().st_mtime:
         return
     now = source_ref(raw, base)

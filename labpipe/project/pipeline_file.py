@@ -12,7 +12,7 @@ from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
-from labpipe.project.marked_yaml import Marked, load_marked
+from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
 from labpipe.project.tests import SINGLE, EachFile, SourceFile, Test, TestReader, read_rig
@@ -28,9 +28,7 @@ from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSet
 
 @dataclass(frozen=True)
 class RepeatSettings(Settings):
-    """What changes a parameter between repeats of a test: as it is known, or as a repeatability test found
-    it.
-    """
+    """What changes a parameter between repeats: as known, or as a repeatability test found it."""
 
     parameter: str = setting("text", "the coefficient that scatters, of every fit that has it: k", default="")
     size: str = setting("text", "its standard uncertainty, relative: 0.5 %, or 0.5 % (dof=4)", default="")
@@ -65,9 +63,7 @@ METHODS = ("first-order", "monte-carlo")
 
 @dataclass(frozen=True)
 class UncertaintySettings(Settings):
-    """The ``uncertainty:`` section: how the uncertainties of given numbers are propagated, for all fits that
-    do not say it themselves.
-    """
+    """The ``uncertainty:`` section: how uncertainties are propagated in fits that do not say it."""
 
     coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
     method: str = setting(
@@ -129,14 +125,11 @@ def _known(name: str, settings: RepeatSettings) -> RepeatSource:
 
 
 def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
-    """The scatter between settings of a repeatability test, relative to its mean, with one degree of freedom
-    less than settings.
-    """
+    """The relative scatter between settings of a repeatability test, with one dof less than settings."""
     try:
         comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
-        repeatabilities: Mapping[str, Any] = {
-            entry["name"]: entry for entry in comparisons if entry["kind"] == "repeatability"
-        }
+        repeatable = (entry for entry in comparisons if entry["kind"] == "repeatability")
+        repeatabilities: Mapping[str, Any] = {entry["name"]: entry for entry in repeatable}
     except DamagedError as error:
         what = f"'{settings.file}' is not a readable identification.json: {error.what}"
         raise UnitError(what, error.hint) from None
@@ -151,9 +144,8 @@ def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource
         amounts = {amount["name"]: float(amount["value"]) for amount in comparison["amounts"]}
         groups = {point["group"] for point in comparison["points"]}
         parameter = str(comparison["subject"]).split(",")[0].strip()
-        return RepeatSource(
-            name, parameter, abs(amounts["between"] / amounts["mean"]), settings.per, float(len(groups) - 1)
-        )
+        relative = abs(amounts["between"] / amounts["mean"])
+        return RepeatSource(name, parameter, relative, settings.per, float(len(groups) - 1))
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         what = f"the repeatability '{settings.comparison}' in '{settings.file}' cannot be read"
         raise UnitError(what) from None
@@ -176,7 +168,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
             owner = model_kind(model).settings
             assert owner is not None
             presets["model_settings"] = read_settings(owner, entries[entry], join(key, entry), faults)
-    rig, named = reading.rig, entries["model"].text if "model" in entries else ""
+    rig, named = reading.rig, text_of(entries, "model")
     takes_mass = "mass" not in entries and named in MODELS and "mass" in model_kind(named).keys
     if rig is not None and rig.mass is not None and takes_mass:
         uncertain = () if rig.mass_uncertainty is None else (("mass", rig.mass_uncertainty),)
@@ -189,13 +181,12 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
 
 def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
     """The entries of a fit, with the settings of a model that needs no section moved into its section."""
-    model = entries["model"].text if "model" in entries else ""
+    model = text_of(entries, "model")
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:
         return entries
-    moved = [
-        key for key in settings_of(kind.settings) if key in entries and key not in settings_of(FitSettings)
-    ]
+    own = settings_of(FitSettings)
+    moved = [key for key in settings_of(kind.settings) if key in entries and key not in own]
     if not moved:
         return entries
     first = entries[moved[0]]
@@ -204,9 +195,7 @@ def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
 
 
 def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
-    """(model, key) of a model's section among the entries of a fit. Other models are loaded for a key that no
-    fit has without them.
-    """
+    """(model, key) of a model's section in a fit. Other models are loaded for an unknown key alone."""
     if "model" not in entries:
         return None
     unknown = entries.keys() - settings_of(FitSettings).keys()
@@ -223,21 +212,18 @@ def _section_of(entries: dict[str, Marked]) -> tuple[str, str] | None:
 
 
 def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> CompareSettings | None:
-    """The settings of a comparison. Faults for a name that a fit has, for another kind's section, and for a
-    fit that is not there.
-    """
+    """The settings of a comparison. Faults for a taken name, another kind's section, no such fit."""
     faults = reading.faults
     if name in reading.names:
         faults.add(node, key, "a fit or calibration has this name already", "rules could not tell them apart")
     entries, before = faults.mapping(node, key), len(faults)
-    kind = entries["kind"].text if "kind" in entries else ""
+    kind = text_of(entries, "kind")
     comparison = comparison_kind(kind) if kind in COMPARISONS else None
     presets: dict[str, Any] = {"name": name}
     if comparison is not None and comparison.settings is not None and comparison.section in entries:
-        presets["kind_settings"] = read_settings(
-            comparison.settings, entries[comparison.section], join(key, comparison.section), faults
-        )
-        node = node.without(comparison.section)
+        section = comparison.section
+        inner = read_settings(comparison.settings, entries[section], join(key, section), faults)
+        presets["kind_settings"], node = inner, node.without(section)
     for entry in sorted(set(node.content if comparison else ()) - set(settings_of(CompareSettings))):
         kinds = [name for name in COMPARISONS if comparison_kind(name).section == entry]
         if kinds:
@@ -319,9 +305,7 @@ class Pipeline:
 
     @property
     def side_files(self) -> list[Path]:
-        """Tables, bearing and rotor files and run-ups that the result depends on beside recordings and
-        FRFs.
-        """
+        """Tables, bearing and rotor files and run-ups that the result depends on beside its data."""
         others = [settings for name, settings in self.sections.items() if name != "identify"]
         owners = [owner for part in others for owner in (part if isinstance(part, tuple) else (part,))]
         return list(dict.fromkeys(path for owner in owners for path in named_files(owner, self.folder)))
@@ -333,16 +317,12 @@ def section_names() -> tuple[str, ...]:
 
 
 def load_pipeline(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a pipeline file, its rig files read along. ConfigErrors with every fault of all files
-    at its place.
-    """
+    """The pipeline of a file, rig files read along. ConfigErrors with every fault at its place."""
     return _load(path, overrides, TestReader.tests)
 
 
 def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[Pipeline, EachFile]:
-    """The pipeline of recordings that are not there yet, without tests, and what each of them becomes. Errors
-    as of `load_pipeline`.
-    """
+    """The pipeline of files to come, and what each becomes. Errors as of `load_pipeline`."""
     per_file: list[EachFile] = []
 
     def imagined(reader: TestReader) -> tuple[Test, ...]:
@@ -358,9 +338,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
 
 
 def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
-    """The pipeline of a test that is followed while it runs: its recordings are not read, its rig file is.
-    Errors as of `load_pipeline`.
-    """
+    """The pipeline of a test followed while it runs: its rig is read. Errors as of `load_pipeline`."""
 
     def to_come(reader: TestReader) -> tuple[Test, ...]:
         return () if reader.rig is None else (Test("", (SourceFile(path, reader.rig),)),)
@@ -386,13 +364,12 @@ def _load(
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
         if of_all is not None and "identify" in settings:
-            settings["identify"] = tuple(
-                of_all(fit, entries["identify"].content[fit.name].content) for fit in settings["identify"]
-            )
+            fits, written = settings["identify"], entries["identify"].content
+            settings["identify"] = tuple(of_all(fit, written[fit.name].content) for fit in fits)
     rules = tuple(
         rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
     )
-    results = entries["results"].text if "results" in entries else "whole"
+    results = text_of(entries, "results", "whole")
     # Of files written before: by the number of tests.
     results = "whole" if results == "auto" else results
     if results not in RESULTS:
@@ -404,7 +381,7 @@ def _load(
     assert report is not None
     return Pipeline(
         path,
-        title=(entries["title"].text if "title" in entries else "") or path.stem,
+        title=text_of(entries, "title") or path.stem,
         tests=tests,
         frf=frf,
         report=report,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,10 +33,7 @@ CLEANER = 3.0
 
 @dataclass(frozen=True)
 class FirstLook:
-    """A recording as its file describes it; *rate* [Hz], 0 where nobody knows it.
-
-    Rows (n_sample, n_channel) as recorded.
-    """
+    """A recording by its metadata; *rate* [Hz], 0 for none; rows (n_sample, n_channel) as recorded."""
 
     channels: tuple[first_guess.GuessedChannel, ...]
     rate: float
@@ -73,9 +71,8 @@ def first_look(table: Table) -> FirstLook:
         *(f"{name}: {n_value} values, the channels have {rows.shape[0]}" for name, n_value in others.items()),
         *(f"{name}: text" for name in getattr(table, "texts", ())),
     )
-    channels = first_guess.guess_channels(
-        [names[n] for n in chosen], table.units, getattr(table, "sensitivities", {})
-    )
+    sensitivities = getattr(table, "sensitivities", {})
+    channels = first_guess.guess_channels([names[n] for n in chosen], table.units, sensitivities)
     signals = rows[:, chosen]
     guessed = _with_sweep(first_guess.with_hammer(channels, signals), signals, rate)
     return FirstLook(guessed, rate, time, signals, unused)
@@ -84,9 +81,8 @@ def first_look(table: Table) -> FirstLook:
 def _with_sweep(
     channels: tuple[first_guess.GuessedChannel, ...], rows: FloatArray, rate: float
 ) -> tuple[first_guess.GuessedChannel, ...]:
-    """The channels, where none is a force the steadiest sweep of volts without a stated sensor as one.
-
-    *rows* (n_sample, n_channel) [recorded units]. Responses follow a sweep, too, but not at one level.
+    """The channels of *rows* (n_sample, n_channel) [recorded units], where none is a force the steadiest
+    sweep of volts without a stated sensor as one: responses do not follow at one level.
     """
     if any(channel.role == "input" for channel in channels):
         return channels
@@ -125,14 +121,11 @@ def drive_of(first: FirstLook, force: int, excitation: Excitation) -> int | None
     """
     if excitation.kind != "periodic":
         return None
-    periods = first.rows[: excitation.length * excitation.repeats].reshape(
-        excitation.repeats, excitation.length, -1
-    )
+    shape = excitation.repeats, excitation.length
+    periods = first.rows[: math.prod(shape)].reshape(*shape, -1)
     noise = np.std(periods - periods.mean(axis=0), axis=(0, 1))
     size = np.std(periods, axis=(0, 1))
-    volts = [
-        number for number in first.column_of("reference") if first.channels[number].quantity == "voltage"
-    ]
+    volts = [n for n in first.column_of("reference") if first.channels[n].quantity == "voltage"]
     drives = [n for n in volts if size[n] > 0 and CLEANER * noise[n] * size[force] < noise[force] * size[n]]
     return drives[0] if len(drives) == 1 else None
 
@@ -182,10 +175,8 @@ def propose(
 def proposals(
     first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation, drive: int | None
 ) -> tuple[dict[str, Proposal], Excitation]:
-    """A fit around the highest peak of the mobility of each response, by its channel, and the excitation with
-    blocks, if it is random, that are long enough for these peaks or the longest of which there are some.
-
-    None where nothing can be measured. *drive*: the column of what drives the shaker, where one does.
+    """The fits around the highest peaks by channel, and the excitation, a random one with blocks long enough
+    for these peaks, or as long as the record allows. *drive*: the column of what drives the shaker.
     """
     fits = _proposals(first, inputs, outputs, excitation, drive)
     while excitation.kind == "random" and any(fit.lines < RESOLVED for fit in fits.values()):
@@ -223,9 +214,7 @@ def _proposals(
 
 
 def proposal_of(response: FrequencyResponse, row: int, *, stated: bool) -> Proposal:
-    """The fit to an element of the first column; *stated*: the quantities are no guess, so that phases say
-    something.
-    """
+    """The fit to an element of the first column; *stated*: no quantity is a guess, phases say something."""
     coherence = None if response.coherence is None else response.coherence[:, row, 0]
     if coherence is not None and coherence.min() > ALL_EXPLAINED:
         # One hit explains itself.
@@ -251,10 +240,7 @@ DECAY_WIDTH, LEAST_PERIODS = 0.4, 16
 
 
 def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
-    """A band [Hz] around the strongest line of the free decays of each response that has some, by channel.
-
-    Per sample where nobody states the rate.
-    """
+    """A band [Hz], per sample without a rate, around the strongest line of each response's free decays."""
     if not outputs:
         return {}
     rate = first.rate or 1.0
@@ -279,9 +265,7 @@ def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[flo
 
 
 def _strongest_peak(decays: Sequence[FloatArray]) -> tuple[int, int]:
-    """(line, samples) of the highest peak of LEAST_PERIODS or more in the mean power of the longer half of
-    the decays (n_sample,) [any unit]; line 0 for none.
-    """
+    """(line, samples) of the highest peak of LEAST_PERIODS or more in the longer decays; line 0: none."""
     length = sorted(decay.size for decay in decays)[len(decays) // 2]
     taper = 0.5 + 0.5 * np.cos(np.pi * np.arange(length) / length)
     power = np.mean([_power(decay[:length], taper) for decay in decays if decay.size >= length], axis=0)

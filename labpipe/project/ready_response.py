@@ -1,6 +1,4 @@
-"""Ready responses: labpipe's own files and those of other programs, as a path or an entry under ``frfs:``
-names them.
-"""
+"""Ready responses: labpipe's own files and those of other programs, by path or entry of ``frfs:``."""
 
 from __future__ import annotations
 
@@ -55,9 +53,7 @@ def is_response(path: Path) -> bool:
 
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
-    """A ready response: labpipe's own file, or another program's. Name and conditions of its test take the
-    place of its own.
-    """
+    """A ready response of any program; *name*, *conditions*: of its test, in place of its own."""
     if path.is_dir():
         raise DataError("is a folder, a file is needed", path)
     if not path.exists():
@@ -92,24 +88,23 @@ def _other_layouts(path: Path, hint: str | None) -> str:
     return "; ".join(filter(None, (hint, f"tried as well, a table of another program: {missed}", recording)))
 
 
-def load_ready(frf: ReadyFrf, test: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
+def load_described(
+    frf: ReadyFrf, layout: FrfLayout, name: str, conditions: dict[str, str]
+) -> FrequencyResponse:
     """The ready response of a test, joined where it lies in several files; DataError names file and line."""
-    name = test or frf.name
-    if frf.layout is None:
-        return load_response(frf.paths[0], name, conditions)
     responses = [
-        dataclasses.replace(_load_described(path, frf.layout, Dofs(outputs, inputs)), name=path.name)
+        dataclasses.replace(_load_file(path, layout, Dofs(outputs, inputs)), name=path.name)
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
-    response = join(responses) if frf.layout.each else responses[0]
-    if frf.layout.windowed is not None:
-        response = undamped(response, frf.layout.windowed.exponential)
-    if frf.layout.window and not response.line_correlation:
-        response = dataclasses.replace(response, line_correlation=amplitude_correlation(frf.layout.window))
+    response = join(responses) if layout.each else responses[0]
+    if layout.windowed is not None:
+        response = undamped(response, layout.windowed.exponential)
+    if layout.window and not response.line_correlation:
+        response = dataclasses.replace(response, line_correlation=amplitude_correlation(layout.window))
     return dataclasses.replace(response, name=name, conditions=conditions or response.conditions)
 
 
-def _load_described(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
+def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     if layout.table is not None:
         return guard(read_described, path, layout, dofs)
     if layout.unit or layout.form:

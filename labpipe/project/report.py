@@ -26,18 +26,14 @@ _STAMP = re.compile(rb"labpipe drew this from ([0-9a-f]{64}), content ([0-9a-f]{
 
 
 def drawn_from(result: Path, code: str = "") -> str:
-    """What the report of a result file depends on, as a digest: its content and the code that draws, by
-    default of this build; empty where it carries none.
-    """
+    """The digest of a result and of the *code* that draws, by default this build's; '' where it has none."""
     with result.open("rb") as stream:
         match = _RESULT.search(stream.read(4096))
     return hashlib.sha256(match[1] + (code or code_digest()).encode()).hexdigest() if match else ""
 
 
 def stamp(content: bytes, source: str, report_format: str) -> bytes:
-    """The bytes of a report with its last line. As they are without a *source* or for a format that has no
-    comments.
-    """
+    """A report with its last line; as it is without a *source*, or in a format without comments."""
     if not source or report_format not in COMMENTS:
         return content
     begin, end = COMMENTS[report_format]
@@ -75,48 +71,36 @@ def format_of(path: Path) -> str:
     if path.exists() and not path.is_file():
         return "html"
     if suffix not in SUFFIX_FORMATS:
-        raise ConfigError(
-            f"no report format for the ending '{suffix}'", path, f"known: {', '.join(SUFFIX_FORMATS)}"
-        )
+        hint = f"known: {', '.join(SUFFIX_FORMATS)}"
+        raise ConfigError(f"no report format for the ending '{suffix}'", path, hint)
     return SUFFIX_FORMATS[suffix]
 
 
-def write_report(
-    identification: Identification,
-    path: Path,
-    report_format: str = "",
-    figures: Path | None = None,
-    results: Path | None = None,
-) -> None:
+def write_report(identification: Identification, path: Path, figures: Path | None, results: Path) -> None:
     """Write the report of an identification; the format follows from the ending. *figures*: a folder for them
-    as files. *results*: the folder of the result, by default that of the report.
+    as files. *results*: the folder of the result.
     """
-    name, folder = report_format or format_of(path), results or path.parent
-    files = {} if figures is None else _figures_of(identification, folder)
-    _write(_draw(identification, folder, name), path, files, figures)
+    name = format_of(path)
+    files = {} if figures is None else _figures_of(identification, results)
+    _write(_draw(identification, results, name), path, files, figures)
 
 
 def write_test_report(
-    identification: Identification,
-    test: str,
-    path: Path,
-    figures: Path | None = None,
-    results: Path | None = None,
+    identification: Identification, test: str, path: Path, figures: Path | None, results: Path
 ) -> None:
-    """Write the pages of one test; ConfigError for a test that the result does not have. *results*: the
-    folder that it was read from.
-    """
+    """Write the pages of one test. ConfigError for an unknown test. *results*: the result's folder."""
     from labpipe.report.build import build
 
     if identification.dataset is not None:
-        identification = one_of_many(identification, results or path.parent, test)
-    _write_document(build(identification, test), path, figures)
+        identification = one_of_many(identification, results, test)
+    write_document(build(identification, test), path, figures)
 
 
-def _write_document(document: Any, path: Path, figures: Path | None) -> None:
+def write_document(document: Any, path: Path, figures: Path | None = None) -> None:
+    """Write a document in the format that the ending asks for; *figures*: a folder for them as files."""
     from labpipe.document.charts import figure_files
 
-    content: bytes = renderer_of("DOCUMENTS", format_of(path))(document)
+    content = renderer_of("DOCUMENTS", format_of(path))(document)
     _write(content, path, {} if figures is None else figure_files(document), figures)
 
 
@@ -135,9 +119,7 @@ def outdate_reports(folder: OutputFolder, formats: Sequence[str]) -> None:
 def write_reports(
     identification: Identification, target: Path, formats: Sequence[str], tell: Callable[[str], None]
 ) -> None:
-    """Draw the reports of a result into its folder, where it lies already. One that was drawn from this very
-    result, and is whole, stays as it is.
-    """
+    """Draw the reports of a result into its folder but those drawn from this very result, and whole."""
     source = drawn_from(target / NAME)
     stale = [name for name in formats if not is_drawn(target / f"report.{name}", source)]
     if not stale:
@@ -145,17 +127,14 @@ def write_reports(
     with output_folder(target) as folder:
         for name in stale:
             tell(f"report    report.{name}")
-            folder.write_path(f"report.{name}").write_bytes(
-                stamp(_draw(identification, target, name), source, name)
-            )
+            content = stamp(_draw(identification, target, name), source, name)
+            folder.write_path(f"report.{name}").write_bytes(content)
 
 
 def _draw(identification: Identification, folder: Path, report_format: str) -> bytes:
     if identification.dataset is None:
-        content: bytes = renderer_of("RENDERERS", report_format)(identification)
-    else:
-        content = renderer_of("DOCUMENTS", report_format)(_summary(identification, folder))
-    return content
+        return renderer_of("RENDERERS", report_format)(identification)
+    return renderer_of("DOCUMENTS", report_format)(_summary(identification, folder))
 
 
 def _summary(identification: Identification, folder: Path) -> Any:
@@ -177,21 +156,18 @@ def renderer_of(table: str, report_format: str) -> Callable[[Any], bytes]:
 def write_campaign(
     results: Sequence[tuple[str, Identification]], path: Path, figures: Path | None = None
 ) -> None:
-    """Write the report of many results (name, identification) together: trends, control limits,
-    differences.
-    """
+    """Write the report of many results (name, identification): trends, control limits, differences."""
     from labpipe.report.campaign import campaign_document
 
-    _write_document(campaign_document(results), path, figures)
+    write_document(campaign_document(results), path, figures)
 
 
 def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes]:
     from labpipe.document.charts import figure_files
     from labpipe.report.build import build
 
-    return figure_files(
-        build(identification) if identification.dataset is None else _summary(identification, folder)
-    )
+    whole = identification.dataset is None
+    return figure_files(build(identification) if whole else _summary(identification, folder))
 
 
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:

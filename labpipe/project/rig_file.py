@@ -9,8 +9,8 @@ from pathlib import Path
 
 from labpipe.errors import ConfigError
 from labpipe.project import calibrations
-from labpipe.project.derived_channels import Factor, SumReader, expand, read_constants
-from labpipe.project.marked_yaml import Marked, load_marked
+from labpipe.project.derived_channels import SumReader, expand, read_constants
+from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.frf_csv import port_of
@@ -195,10 +195,13 @@ def _read_channels(
         faults.add(tree, "channels", "is missing", "name each channel with its column, quantity and unit")
         return [], ()
     entries = faults.mapping(node, "channels")
-    mappings = {name: entry for name, entry in entries.items() if isinstance(entry.content, dict)}
-    sums = {name: entry for name, entry in mappings.items() if "derived" in entry.content}
+    mappings = {name: entry.content for name, entry in entries.items() if isinstance(entry.content, dict)}
+    sums = {name: entries[name] for name, content in mappings.items() if "derived" in content}
     channels = _read_recorded({name: entry for name, entry in entries.items() if name not in sums}, faults)
-    derived = _read_sums(sums, entries, read_constants(constants, entries, faults), channels, faults)
+    stated = {name: text_of(content, "quantity") for name, content in mappings.items()}
+    quantities = {name: quantity for name, quantity in stated.items() if quantity in QUANTITIES}
+    reader = SumReader(quantities, read_constants(constants, entries, faults))
+    derived = _read_sums(sums, reader, channels, faults)
     members = {term.channel for channel in derived for term in channel.terms}
 
     def as_member(recorded: RigChannel) -> RigChannel:
@@ -227,21 +230,9 @@ def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChanne
 
 
 def _read_sums(
-    sums: dict[str, Marked],
-    entries: dict[str, Marked],
-    constants: dict[str, Factor],
-    recorded: list[RigChannel],
-    faults: Faults,
+    sums: dict[str, Marked], reader: SumReader, recorded: list[RigChannel], faults: Faults
 ) -> tuple[Channel, ...]:
     """The channels that are sums, written out in recorded channels."""
-    quantities = {
-        name: entry.content["quantity"].text
-        for name, entry in entries.items()
-        if isinstance(entry.content, dict)
-        and "quantity" in entry.content
-        and entry.content["quantity"].text in QUANTITIES
-    }
-    reader = SumReader(quantities, constants)
     settings: dict[str, ChannelSettings] = {}
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():
@@ -271,9 +262,7 @@ def _sum_channel(
     recorded: list[RigChannel],
     faults: Faults,
 ) -> Channel | None:
-    """A sum with the delay and response that all its members have. None where they differ, which the FRF
-    refuses.
-    """
+    """A sum with its members' common delay and response. Where they differ the FRF refuses it."""
     key = join("channels", name)
     try:
         terms = expand(sums, name)
@@ -295,9 +284,7 @@ def _sum_channel(
 
 
 def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, calibrations.Certified | None]:
-    """A channel with the number of its certificate in place of the reference to it, and what else that
-    states.
-    """
+    """A channel with the number of its certificate in place of the reference, and what that states."""
     entry = node.content.get("sensitivity") if isinstance(node.content, dict) else None
     if entry is None or not isinstance(entry.content, dict) or "certificate" not in entry.content:
         return node, None
@@ -384,9 +371,7 @@ def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faul
 
 
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
-    """Recorded SI unit per SI unit of the quantity. "8 V/mm", or the reciprocal "5.8 N/V", or FILE#FIT of a
-    calibration.
-    """
+    """Recorded SI unit per SI unit of the quantity: "8 V/mm", the reciprocal "5.8 N/V", or FILE#FIT."""
     if "#" in text:
         slope = calibrations.calibrated_slope(text, node.folder_of("sensitivity"))
         text = f"{slope.value!r} {slope.unit}"

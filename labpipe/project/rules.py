@@ -1,6 +1,4 @@
-"""The rules of ``accept:`` and ``expect:``: what a result must meet, read from "fit.parameter: rule", or from
-limits with the rule by which is decided.
-"""
+"""The rules of ``accept:`` and ``expect:``, read from "fit.parameter: rule", or from limits."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from importlib.resources import files
 from typing import Any
 
 from labpipe.errors import ConfigError
-from labpipe.project.marked_yaml import Marked
+from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.settings_reader import Faults, join, listed
 from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
 from labpipe.records.identification import RuleDecision, RuleOutcome
@@ -168,9 +166,8 @@ def _decide(
     key = f"{section}.{address}"
     decision = _read_decision(entry, key, faults)
     if match["item"].rpartition(".")[2] in (*WORDS, "covers"):
-        faults.add(
-            entry, key, "is a word, and limits need a number", "name a parameter, for example direct.k"
-        )
+        hint = "name a parameter, for example direct.k"
+        faults.add(entry, key, "is a word, and limits need a number", hint)
         return ()
     if decision is None:
         return ()
@@ -212,10 +209,9 @@ def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
     before = len(faults)
     faults.unknown_keys(entry, key, DECISION_KEYS)
     nodes = entry.content
-    rule = nodes["rule"].text if "rule" in nodes else SIMPLE
+    rule = text_of(nodes, "rule", SIMPLE)
     if rule not in DECISIONS:
-        hint = nearest(rule, DECISIONS)
-        faults.add_at(nodes, key, "rule", f"unknown rule '{rule}'", hint)
+        faults.add_at(nodes, key, "rule", f"unknown rule '{rule}'", nearest(rule, DECISIONS))
     if "guard" in nodes and ("risk" in nodes or rule != GUARDED):
         what = "a guard band takes the place of the risk" if "risk" in nodes else "only 'guarded' has one"
         faults.add_at(nodes, key, "guard", what, "rule: guarded with guard or with risk")
@@ -224,7 +220,7 @@ def _read_decision(entry: Marked, key: str, faults: Faults) -> Decision | None:
     low, high = _read_limits(entry, key, faults)
     risk = _read_number(nodes.get("risk"), join(key, "risk"), faults, (0.0, 0.5))
     guard = _read_number(nodes.get("guard"), join(key, "guard"), faults, (-10.0, 10.0))
-    process = nodes["process"].text if "process" in nodes else ""
+    process = text_of(nodes, "process")
     if "process" in nodes and "+-" not in process.replace("±", "+-"):
         hint = "mean and standard deviation: 134.5 kN/m +- 0.2 kN/m"
         faults.add_at(nodes, key, "process", f"'{process}' has no spread", hint)

@@ -47,9 +47,7 @@ class Manner:
 
 @dataclass(frozen=True)
 class Measured:
-    """The responses or decays of all tests, the files behind them, the fits made on the way, the tests that
-    failed, digests of *tests*.
-    """
+    """What came of all *tests*, its digests, the files behind it, fits made on the way, tests that failed."""
 
     tests: tuple[MeasuredTest, ...]
     sources: tuple[SourceRef, ...]
@@ -109,9 +107,7 @@ def _run_many(
 def measure_tests(
     pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
 ) -> Measured:
-    """ingest and frf of every test, and of several tests the fits named in *fits*. Ready responses are read
-    as they are.
-    """
+    """ingest and frf of every test, ready responses as they are; of several tests also the named *fits*."""
     with staging_folder(existing_home(output.target)) as scratch:
         of_tests = fits if len(pipeline.tests) >= MANY else ()
         jobs = _jobs(pipeline, output.target, scratch, of_tests, manner)

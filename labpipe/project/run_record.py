@@ -1,7 +1,6 @@
-"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line for each
-run whose results lie in or below it. A line holds the digest of the line before, so that a line that was
-changed, removed or put in shows, and the digest of its result, so that a result shows that no run made. It is
-beside the artefacts, which hold no clock.
+"""The record of runs of a folder: who ran what and when, on which inputs, with which outcome, a line each. A
+line holds the digests of the line before and of its result, so that changed or removed lines show, and
+results of no run. It is beside the artefacts, which hold no clock.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from labpipe import __version__
+from labpipe.artefacts.digest import file_sha256
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import BAD_ENTRY
@@ -81,9 +81,7 @@ def record_of_runs(folder: Path) -> Path | None:
 
 @contextmanager
 def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
-    """Record a run with results in a folder: of what the caller puts into the list, or as failed. Nothing
-    where no record was begun.
-    """
+    """Record a run, where a record was begun: of what the caller puts into the list, or as failed."""
     made: list[Identification] = []
     try:
         yield made
@@ -112,7 +110,7 @@ def _add(folder: Path, pipeline: Path, identification: Identification | None, ou
             outcome=outcome,
             pipeline=pipeline.name,
             result=result.relative_to(path.parent).as_posix(),
-            digest=_digest(result) if identification is not None else "",
+            digest=file_sha256(result) if identification is not None else "",
             inputs=tuple({"path": entry["path"], "sha256": entry["sha256"]} for entry in inputs),
         )
         with path.open("ab") as stream:
@@ -174,9 +172,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
 
 
 def faults_of_record(path: Path) -> list[str]:
-    """What does not hold of a record: lines changed, removed or put in, results that are not of their last
-    run.
-    """
+    """What does not hold: lines changed, removed or put in, results not of their last run."""
     runs = runs_of(path)
     faults = [] if runs and runs[0].outcome == BEGUN else ["its beginning was removed"]
     previous = NOTHING
@@ -201,11 +197,5 @@ def head(path: Path) -> str:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    return {
-        path.relative_to(folder).as_posix(): _digest(path)
-        for path in sorted(without_staging(folder.rglob(NAME)))
-    }
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    results = sorted(without_staging(folder.rglob(NAME)))
+    return {path.relative_to(folder).as_posix(): file_sha256(path) for path in results}

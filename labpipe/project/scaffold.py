@@ -1,7 +1,4 @@
-"""A project from a recording: rig.yaml and pipeline.yaml, marked where a person must decide.
-
-And the shipped examples.
-"""
+"""A project from a recording: rig.yaml and pipeline.yaml, marked where a person must decide."""
 
 from __future__ import annotations
 
@@ -78,10 +75,7 @@ class Scaffold:
 
 
 def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
-    """The project in *folder* for recordings, or for FRFs, which need no rig file.
-
-    DataError for a file that cannot be read.
-    """
+    """The project in *folder* for recordings, or for FRFs, without a rig. DataError for unreadable files."""
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         try:
@@ -158,9 +152,7 @@ def _rig(first: FirstLook, path: Path) -> str:
 
 
 def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
-    """A channel; *anchor*: of a unit that several channels of a quantity share, '&' where it is decided, '*'
-    where it is only referred to.
-    """
+    """A channel; *anchor*: '&' for a shared unit that is to be decided, '*' for a reference to it."""
     entries = {"column": _quoted(channel.column), "quantity": channel.quantity, "unit": _quoted(channel.unit)}
     if anchor:
         entries["unit"] = f"{anchor}{channel.quantity}" + (f" {DECIDE}" if anchor == "&" else "")
@@ -210,10 +202,8 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
     lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
-    lines.append(
-        "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
-    )
-    return "\n".join(lines) + "\n"
+    coupled = "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
+    return "\n".join([*lines, coupled]) + "\n"
 
 
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
@@ -250,10 +240,8 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
 def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
     if len(paths) == 1:
         return [f"{kind}: {_quoted(paths[0])}"]
-    entries = (
-        f"  - {{name: {_quoted(file.stem)}, {kind}: {_quoted(path)}}}"
-        for file, path in zip(files, paths, strict=True)
-    )
+    pairs = ((_quoted(file.stem), _quoted(path)) for file, path in zip(files, paths, strict=True))
+    entries = (f"  - {{name: {name}, {kind}: {path}}}" for name, path in pairs)
     return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
 
 
@@ -301,11 +289,10 @@ def _all_fit_lines(force: str, fits: Fits, estimator: str = "ml") -> list[str]:
 def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator: str = "ml") -> list[str]:
     by_model = {
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
-        "modal": ["    model: modal               # `sdof` gives k and c where force and response meet"],
+        "modal": [_remark("    model: modal", "`sdof` gives k and c where force and response meet")],
     }
     last = {"modal": [_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
-    lines = [f"  {name}:", *by_model[proposal.model]]
-    lines += [f"    input: {force}", f"    output: {output}"]
+    lines = [f"  {name}:", *by_model[proposal.model], f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band
         lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))
@@ -455,9 +442,7 @@ def _pattern_of(names: Sequence[str]) -> str:
 
 
 def _order(guessed: GuessedFrf) -> int:
-    """The power of the frequency that makes a mobility of FRFs; where nothing says their form they are taken
-    for accelerance, which most are.
-    """
+    """The power of frequency from FRFs to mobilities; without a form for accelerance, which most are."""
     form = guessed.form
     for name in MECHANICAL if guessed.unit and not form else ():
         with suppress(UnitError):

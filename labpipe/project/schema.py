@@ -1,6 +1,4 @@
-"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, made from the same settings that read
-them.
-"""
+"""The JSON schema (draft 2020-12) of pipeline, rig and bearing files, from the settings that read them."""
 
 from __future__ import annotations
 
@@ -22,8 +20,18 @@ from labpipe.spectra.settings import FrfSettings
 from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, comparison_kind, kinds_text
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def _mapping_of(schema: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": schema}
+
+
+def _list_of(schema: Mapping[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": schema}
+
+
 _TEXT_OR_NUMBER: dict[str, Any] = {"type": ["string", "number"]}
-_TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, {"type": "array", "items": _TEXT_OR_NUMBER}]}
+_TEXTS_OR_NUMBERS: dict[str, Any] = {"anyOf": [_TEXT_OR_NUMBER, _list_of(_TEXT_OR_NUMBER)]}
 _TEXTS: dict[str, Any] = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
 
 
@@ -40,16 +48,15 @@ def rig_schema() -> dict[str, Any]:
     typed = channel["properties"]["sensitivity"]
     certified = object_schema(CertificateSettings)
     channel["properties"]["sensitivity"] = {"anyOf": [typed, certified], "description": typed["description"]}
-    schema["properties"]["channels"] = {"type": "object", "additionalProperties": channel}
-    numbers = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    schema["properties"]["channels"] = _mapping_of(channel)
+    numbers = _mapping_of(_TEXT_OR_NUMBER)
     described = "numbers in sums of channels, with their uncertainty: m_s: 30 kg +- 0.1 kg"
     schema["properties"]["constants"] = {**numbers, "description": described}
     listed = object_schema(ChannelSettings)
     listed["properties"] = {name: listed["properties"][name] for name in SUM_KEYS}
     listed["properties"]["sum"] = numbers
     described = "sums of channels, listed: {e: {sum: {f: 1, a: -30 kg +- 0.1 kg}, quantity: force, dof: x}}"
-    sums = {"type": "object", "additionalProperties": listed, "description": described}
-    schema["properties"]["derived"] = sums
+    schema["properties"]["derived"] = {**_mapping_of(listed), "description": described}
     schema["required"] = ["channels"]
     return {"$schema": DRAFT, "title": "labpipe rig", **schema}
 
@@ -75,13 +82,12 @@ def _recordings() -> dict[str, Any]:
         },
         "additionalProperties": False,
     }
-    return {"anyOf": [{"type": "string"}, {"type": "array", "items": {"anyOf": [{"type": "string"}, entry]}}]}
+    return {"anyOf": [{"type": "string"}, _list_of({"anyOf": [{"type": "string"}, entry]})]}
 
 
 def _frfs() -> dict[str, Any]:
-    described = object_schema(FrfLayout)
-    simple = [{"type": "string"}, described]
-    return {"anyOf": [*simple, {"type": "array", "items": {"anyOf": simple}}]}
+    simple = [{"type": "string"}, object_schema(FrfLayout)]
+    return {"anyOf": [*simple, _list_of({"anyOf": simple})]}
 
 
 # What the entries of a test mean.
@@ -96,7 +102,7 @@ OF_TEST = {
 
 def pipeline_schema() -> dict[str, Any]:
     recordings, frfs = _recordings(), _frfs()
-    conditions = {"type": "object", "additionalProperties": _TEXT_OR_NUMBER}
+    conditions = _mapping_of(_TEXT_OR_NUMBER)
     test = {
         "name": {"type": "string"},
         "recordings": recordings,
@@ -110,15 +116,12 @@ def pipeline_schema() -> dict[str, Any]:
     }
     test |= {name: {**test[name], "description": meaning} for name, meaning in OF_TEST.items()}
     rule = {"anyOf": [_TEXT_OR_NUMBER, {"type": "boolean"}, {"type": "array"}, _decision()]}
-    rules = {"type": "object", "additionalProperties": rule}
+    rules = _mapping_of(rule)
     properties = {
         "title": {"type": "string"},
         "rig": {"type": "string", "description": "rig file, relative to this file"},
         "recordings": recordings,
-        "tests": {
-            "type": "array",
-            "items": {"type": "object", "properties": test, "additionalProperties": False},
-        },
+        "tests": _list_of({"type": "object", "properties": test, "additionalProperties": False}),
         "frfs": frfs,
         "conditions": conditions,
         "frf": object_schema(FrfSettings),
@@ -154,9 +157,7 @@ def bearing_schema() -> dict[str, Any]:
 def of_kinds(
     title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """The schema of a mapping whose entry *key* names its kind, and with it the settings of all others.
-    *above*: further entries.
-    """
+    """A mapping whose entry *key* names its kind, and settings of all kinds. *above*: further entries."""
     options = []
     for name, owner in kinds.items():
         schema = object_schema(owner)
@@ -175,10 +176,9 @@ def _section(entry: PipelineSection) -> dict[str, Any]:
         plain = [parts[kind.section]["properties"] for kind in kinds() if getattr(kind, "optional", False)]
         for name, described in schema["properties"].items():
             described["description"] += text(name)
-        schema["properties"] = (
-            {name: value for part in plain for name, value in part.items()} | schema["properties"] | parts
-        )
-    return {"type": "object", "additionalProperties": schema} if entry.named else schema
+        inner = {name: value for part in plain for name, value in part.items()}
+        schema["properties"] = inner | schema["properties"] | parts
+    return _mapping_of(schema) if entry.named else schema
 
 
 # Settings whose kinds have sections of their own: the kinds, and the words which of them take a key.
@@ -205,17 +205,14 @@ def object_schema(owner: type) -> dict[str, Any]:
 def _kind(setting: Setting) -> dict[str, Any]:
     if setting.section is not None:
         section = object_schema(setting.section)
-        return {
-            "section": section,
-            "sections": {"type": "object", "additionalProperties": section},
-            "entries": {"type": "array", "items": section},
-        }[setting.kind]
+        kinds = {"section": section, "sections": _mapping_of(section), "entries": _list_of(section)}
+        return kinds[setting.kind]
     return {
         "value": _TEXT_OR_NUMBER,
         "uncertain": _TEXT_OR_NUMBER,
         "band": {"type": "string"},
         "bands": _TEXTS,
-        "peaks": {"type": "object", "additionalProperties": _TEXTS},
+        "peaks": _mapping_of(_TEXTS),
         "integer": {"type": "integer", "minimum": 0},
         "flag": {"type": "boolean"},
         "text": _TEXT_OR_NUMBER,
@@ -224,11 +221,11 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "names": _TEXTS,
         "mass": {"type": ["string", "number", "array"]},
         "values": _TEXTS_OR_NUMBERS,
-        "matrix": {"type": "array", "items": {"type": "array", "items": _TEXT_OR_NUMBER}},
-        "coefficients": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
+        "matrix": _list_of(_list_of(_TEXT_OR_NUMBER)),
+        "coefficients": _mapping_of(_TEXT_OR_NUMBER),
         "groups": {"type": "array"},
         "series": {"type": "object"},
         "roots": _TEXTS_OR_NUMBERS,
-        "phasors": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
-        "texts": {"type": "object", "additionalProperties": _TEXT_OR_NUMBER},
+        "phasors": _mapping_of(_TEXT_OR_NUMBER),
+        "texts": _mapping_of(_TEXT_OR_NUMBER),
     }[setting.kind]

@@ -1,11 +1,10 @@
-"""Interface for scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as
-tables.
-"""
+"""For scripts and notebooks: read files, run pipelines, bearings and rotors by name, results as tables."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
 from labpipe.artefacts.mirrored import results_made
 from labpipe.artefacts.recording_file import open_recording
-from labpipe.artefacts.writing import output_folder, path_of
+from labpipe.artefacts.writing import OutputFolder, output_folder, path_of
 from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.bearing_file import open_bearing
@@ -99,10 +98,8 @@ def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd
     if isinstance(record, Fit):
         return pd.DataFrame([_row(listed) for listed in of_fit(record)])
     if isinstance(record, Identification) and record.dataset is not None:
-        raise ConfigError(
-            "the numbers of so many tests stand in a dataset",
-            hint="pandas.read_parquet('OUT/dataset') reads it",
-        )
+        hint = "pandas.read_parquet('OUT/dataset') reads it"
+        raise ConfigError("the numbers of so many tests stand in a dataset", hint=hint)
     if isinstance(record, Identification):
         return pd.DataFrame([_row(listed) for listed in listed_parameters(record)])
     if isinstance(record, FrequencyResponse):
@@ -111,9 +108,8 @@ def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd
         time = pd.Index(np.arange(record.n_sample) / record.sample_rate, name="time [s]")
         columns = [f"{channel.name} [{channel.unit}]" for channel in record.channels]
         return pd.DataFrame(record.samples, index=time, columns=columns)
-    raise ConfigError(
-        f"a {type(record).__name__} has no table", hint="a fit, a result, a response or a recording has"
-    )
+    hint = "a fit, a result, a response or a recording has"
+    raise ConfigError(f"a {type(record).__name__} has no table", hint=hint)
 
 
 def _row(listed: ListedParameter) -> dict[str, Any]:
@@ -141,7 +137,6 @@ def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
 
 def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
     """The response over frequency, output and input, with variance and coherence where they are known.
-
     ConfigError where xarray is not installed.
     """
     try:
@@ -156,9 +151,8 @@ def to_xarray(response: FrequencyResponse) -> xarray.Dataset:
         "input": [port.label for port in response.inputs],
     }
     present = {name: (dims, values) for name, values in variables.items() if values is not None}
-    return xarray.Dataset(
-        present, coords, {"form": response.form, "name": response.name, **response.conditions}
-    )
+    attributes = {"form": response.form, "name": response.name, **response.conditions}
+    return xarray.Dataset(present, coords, attributes)
 
 
 HEAD = 4096
@@ -191,19 +185,22 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
         return load_response(path)
     if path.is_file() and is_recording(path):
         return open_recording(path).in_memory()
-    records = (
-        (TEXT_FILES.load(name)(path) for name in TEXT_FILES.names())
-        if suffix in TEXT_SUFFIXES and path.is_file()
-        else ()
-    )
+    names = TEXT_FILES.names() if suffix in TEXT_SUFFIXES and path.is_file() else ()
+    records = (TEXT_FILES.load(name)(path) for name in names)
     stored = next((record for record in records if record is not None), None)
     if stored is not None or rig is None:
         return stored or _by_itself(path)
     return _calibrate(path, rig if isinstance(rig, Rig) else load_rig(Path(rig)))
 
 
-def _calibrate(path: Path, rig: Rig) -> Recording:
+@contextmanager
+def _scratch_output() -> Iterator[OutputFolder]:
     with tempfile.TemporaryDirectory(prefix="labpipe-") as scratch, output_folder(Path(scratch)) as output:
+        yield output
+
+
+def _calibrate(path: Path, rig: Rig) -> Recording:
+    with _scratch_output() as output:
         return ingest(path, rig, output, path.stem, path.parent).in_memory()
 
 
@@ -244,10 +241,7 @@ def run(
     manner = Manner(execute=serially if jobs == 1 else in_processes(jobs), processes=jobs)
     if output is None:
         settings = replace(load_pipeline(Path(pipeline), overrides), results="whole")
-        with (
-            tempfile.TemporaryDirectory(prefix="labpipe-") as scratch,
-            output_folder(Path(scratch)) as folder,
-        ):
+        with _scratch_output() as folder:
             return run_pipeline(settings, folder, manner)
     target = path_of(str(output))
     with recorded(target, Path(pipeline)) as made:

@@ -1,7 +1,4 @@
-"""From a YAML mapping to a settings dataclass, by its declared settings alone.
-
-Every fault at its place, all in one pass.
-"""
+"""From a YAML mapping to a settings dataclass by its declared settings; all faults in one pass."""
 
 from __future__ import annotations
 
@@ -27,9 +24,7 @@ from labpipe.registry import Registry, nearest
 
 
 class Faults:
-    """The faults of one file so far; `raise_any` ends the pass. *folder*: of the file, to which the files
-    that it names are relative.
-    """
+    """The faults of one file; `raise_any` ends the pass. *folder*: to which its paths are relative."""
 
     def __init__(self, folder: Path = Path()) -> None:
         self.folder = folder
@@ -50,9 +45,7 @@ class Faults:
         self.add(node, key, error.what, error.hint)
 
     def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
-        """A fault of the settings that a mapping holds, at the entry that the error names, else at the
-        mapping itself.
-        """
+        """A fault of a mapping's settings, at the entry that the error names, else at the mapping."""
         entry = node.content.get(error.field, node) if isinstance(node.content, dict) else node
         self.add(entry, join(key, error.field), error.what.removeprefix(f"{error.field}: "), error.hint)
 
@@ -65,9 +58,7 @@ class Faults:
     def unknown_keys(
         self, node: Marked, key: str, allowed: Iterable[str], meanings: Mapping[str, str] | None = None
     ) -> None:
-        """A fault for every key that is not *allowed*, with the nearest allowed one, or the one whose meaning
-        names it.
-        """
+        """A fault for every key not *allowed*, with the nearest, or the one whose meaning names it."""
         for name, entry in node.content.items():
             if name not in allowed:
                 self.add(entry, join(key, name), "unknown key", _meant(name, allowed, meanings or {}))
@@ -92,9 +83,7 @@ TYPED = 0.75
 
 
 def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
-    """The hint for an unknown key: the allowed one spelt nearly so, else the only one whose meaning begins
-    so.
-    """
+    """The hint for an unknown key: one spelt nearly so, else the only one whose meaning begins so."""
     stem = name.lower().rstrip("s")
     by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]
     if len(stem) <= 3 or len(by_meaning) != 1 or difflib.get_close_matches(name, list(allowed), 1, TYPED):
@@ -129,14 +118,12 @@ def _plain(node: Marked, by_content: bool) -> Any:
         return {name: _plain(entry, False) for name, entry in node.content.items()}
     if isinstance(node.content, list):
         return [_plain(entry, False) for entry in node.content]
-    return node.content if node.content is None else node.text
+    return None if node.content is None else node.text
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A pass over a pipeline file; *names*: those of the sections that were read before, by which rules
-    address them.
-    """
+    """A pass over a pipeline file; *names*: of sections read before, by which rules address them."""
 
     faults: Faults
     rig: Rig | None
@@ -154,9 +141,7 @@ PATH = FileKind(lambda path: path)
 
 
 def named_files(settings: Any, folder: Path) -> Iterator[Path]:
-    """Every file that settings name, nested settings too, and the files that those name; *folder*: of the
-    file that holds the settings.
-    """
+    """Every file that settings and nested ones name, relative to *folder*, and the files of those."""
     for name, (setting, _) in settings_of(type(settings)).items():
         value = getattr(settings, name)
         if setting.kind == "file" and value:
@@ -177,7 +162,7 @@ LONG_KINDS = ("value", "mass", "uncertain", "text")
 SIZES = ("std", "limits", "expanded")
 LONG_FORM = ("value", *SIZES, "shape", "k", "dof", "source")
 
-# Placeholder of an entry that the user must fill in; see stages/scaffold.py.
+# Placeholder of an entry that the user must fill in, as `labpipe init` writes it.
 DECIDE = "DECIDE"
 
 
@@ -190,21 +175,17 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     node = _under_new_keys(node, key, settings)
     entries = faults.mapping(node, key)
     if entries:
-        faults.unknown_keys(
-            node, key, tuple(settings), {name: declared.help for name, (declared, _) in settings.items()}
-        )
+        meanings = {name: declared.help for name, (declared, _) in settings.items()}
+        faults.unknown_keys(node, key, meanings, meanings)
     fields: dict[str, Any] = dict(presets)
     unread: set[str] = set()
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            node_of = in_one_line(entries[name], setting.kind)
-            read = (
-                _read_uncertain
-                if takes_uncertainty(owner, setting) and is_uncertain(node_of.text)
-                else read_setting
-            )
-            fields[name] = read(node_of, setting, join(key, name), faults)
+            entry = in_one_line(entries[name], setting.kind)
+            uncertain = takes_uncertainty(owner, setting) and is_uncertain(entry.text)
+            read = _read_uncertain if uncertain else read_setting
+            fields[name] = read(entry, setting, join(key, name), faults)
             if setting.into:
                 fields[setting.into] = _content(entries[name], fields[name], setting, join(key, name), faults)
         elif required and name not in presets:
@@ -228,11 +209,8 @@ def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting
             "this version for the last time"
         )
         warnings.warn(note, FutureWarning, stacklevel=2)
-    return (
-        replace(node, content={names.get(name, name): entry for name, entry in node.content.items()})
-        if names
-        else node
-    )
+    content = {names.get(name, name): entry for name, entry in node.content.items()}
+    return replace(node, content=content) if names else node
 
 
 def _instance(
@@ -253,9 +231,7 @@ def _instance(
 
 
 def in_one_line(node: Marked, kind: str = "value") -> Marked:
-    """A number of a *kind* of setting in its long form {value, std | limits | expanded, shape, k, dof,
-    source} as its text.
-    """
+    """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as its text."""
     if kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
     parts = {name: part.text for name, part in node.content.items()}
@@ -304,11 +280,11 @@ def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
         return read_settings(setting.section, node, key, faults)
     before = len(faults)
     if setting.kind == "sections":
-        named = {
-            name: read_settings(setting.section, entry, join(key, name), faults)
+        named = [
+            (name, read_settings(setting.section, entry, join(key, name), faults))
             for name, entry in faults.mapping(node, key).items()
-        }
-        return None if len(faults) > before else tuple(named.items())
+        ]
+        return None if len(faults) > before else tuple(named)
     if not isinstance(node.content, list):
         faults.add(node, key, "a list is needed", "each entry begins with '- '")
         return None
@@ -334,9 +310,7 @@ def _content(node: Marked, name: str | None, setting: Setting, key: str, faults:
 
 
 def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
-    """The files that a path or glob names, sorted; a fault when there is none. *elsewhere*: they may be
-    objects of a storage, by URL.
-    """
+    """The sorted files of a path or glob; a fault for none. *elsewhere*: URLs of objects may be."""
     if not node.text:
         faults.add(node, key, "a file name is needed")
         return []
@@ -377,16 +351,13 @@ def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path
         objects = [path for path in paths if glob_matches(path.parts[plain:], pattern)]
     if not objects:
         what = "no object matches" if glob.has_magic(node.text) else "no such object"
-        faults.add(
-            node, key, f"{what} '{node.text}'", "names are those that the storage lists, capitals included"
-        )
+        hint = "names are those that the storage lists, capitals included"
+        faults.add(node, key, f"{what} '{node.text}'", hint)
     return objects
 
 
 def glob_matches(names: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether a path is of a glob, both part by part: '**' stands for any folders. What begins with a point
-    is hidden, as on a disk.
-    """
+    """Whether a path is of a glob, part by part: '**' is any folders, hidden ones as on a disk."""
     if not pattern or not names:
         return not names and all(part == "**" for part in pattern)
     hidden = names[0].startswith(".") and not pattern[0].startswith(".")

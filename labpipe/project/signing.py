@@ -1,9 +1,7 @@
-"""Signatures of people: reports as PDF by PAdES, archives and other files by a detached CMS signature
-(CAdES).
-
-The signature is beside what it signs, never in an artefact: a report that is signed is a PDF of its own,
-and a detached signature is a file FILE.ROLE.p7s. Signing and verifying go through pyHanko, which the extra
-`sign` installs; nothing is fetched from a network, except a time stamp from a server that is named.
+"""Signatures of people: reports as PDF by PAdES, other files by a detached CMS signature (CAdES),
+FILE.ROLE.p7s. It is beside what it signs, never in an artefact: a signed report is a PDF of its own.
+pyHanko, of the extra `sign`, signs and verifies; nothing is fetched from a network but time stamps of a
+server that is named.
 """
 
 from __future__ import annotations
@@ -43,10 +41,8 @@ def _library(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise ConfigError(
-            f"signatures need {name.partition('.')[0]}, which is not installed",
-            hint="pip install 'labpipe[sign]'",
-        ) from None
+        what = f"signatures need {name.partition('.')[0]}, which is not installed"
+        raise ConfigError(what, hint="pip install 'labpipe[sign]'") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,10 +92,8 @@ def _check_valid(certificate: Any, where: str) -> None:
     now = datetime.datetime.now(datetime.UTC)
     begin, end = certificate.not_valid_before, certificate.not_valid_after
     if not begin <= now <= end:
-        raise ConfigError(
-            f"the certificate of {person(certificate)} is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only",
-            where,
-        )
+        days = f"from {begin:%Y-%m-%d} to {end:%Y-%m-%d}"
+        raise ConfigError(f"the certificate of {person(certificate)} is valid {days} only", where)
 
 
 def person(certificate: Any) -> str:
@@ -158,23 +152,19 @@ def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper:
         raise ConfigError(f"was signed as '{role}' already", target)
     content = path.read_bytes()
     words = {"file": path.name, "role": role, "reason": reason, "members": members_of(path)}
-    settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(
-        signing_time=datetime.datetime.now(datetime.UTC)
-    )
+    now = datetime.datetime.now(datetime.UTC)
+    settings = _library("pyhanko.sign.signers.pdf_cms").PdfCMSSignedAttributes(signing_time=now)
     plain = signer._signed_attr_provider_spec(settings, timestamper, use_cades=False, is_pdf_sig=False)
     signer.signed_attr_prov_spec = _with_hints(plain, json.dumps(words, sort_keys=True))
-    signature = asyncio.run(
-        signer.async_sign_general_data(content, "sha256", detached=True, timestamper=timestamper)
-    )
+    signs = signer.async_sign_general_data(content, "sha256", detached=True, timestamper=timestamper)
+    signature = asyncio.run(signs)
     with output_file(target) as temporary:
         temporary.write_bytes(signature.dump())
     return target
 
 
 def members_of(path: Path) -> dict[str, str]:
-    """The digests (SHA-256) of the files in an archive by their names, by which a change is named; none of
-    what is no archive.
-    """
+    """The SHA-256 of the files in an archive by their names, to name a change; none of other files."""
     try:
         with zipfile.ZipFile(path) as archive:
             return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in archive.namelist()}
@@ -242,9 +232,7 @@ def signed_files(path: Path) -> list[Path]:
 
 
 def signatures(path: Path, trust: Trust) -> Iterator[Signature]:
-    """Every signature in a signed PDF or a detached one. DataError where the file cannot be read; ConfigError
-    for a certificate of *trust* that cannot.
-    """
+    """Every signature of a file. DataError for an unreadable one, ConfigError for one in *trust*."""
     for library in ("pyhanko", "pyhanko_certvalidator"):
         # What it says of a certificate that nobody vouches for is a fault here, and no trace of an error.
         logging.getLogger(library).setLevel(logging.CRITICAL + 1)
@@ -267,9 +255,8 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
     for file in trust.revoked:
         try:
             content = file.read_bytes()
-            lists.append(
-                crl.CertificateList.load(pem.unarmor(content)[2] if pem.detect(content) else content)
-            )
+            content = pem.unarmor(content)[2] if pem.detect(content) else content
+            lists.append(crl.CertificateList.load(content))
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ConfigError(f"is no list of revoked certificates ({cut(str(error))})", file) from None

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from labpipe.artefacts.parquet import arrow_array
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.project.marked_yaml import load_marked
+from labpipe.project.marked_yaml import load_marked, text_of
 from labpipe.project.measured import file_stems
 from labpipe.project.settings_reader import Faults, read_settings
 from labpipe.raw_files.frf_csv import write_frf_csv
@@ -25,17 +25,13 @@ from labpipe.simulate import virtual_rigs
 
 
 def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> virtual_rigs.VirtualRig:
-    """The settings of a virtual rig file, of the class of its kind. ConfigErrors with every fault at its
-    place.
-    """
-    tree = load_marked(path, overrides)
-    faults = Faults(path.parent)
+    """The settings of a virtual rig file. ConfigErrors with every fault at its place."""
+    tree, faults = load_marked(path, overrides), Faults(path.parent)
     entries = faults.mapping(tree, "")
-    kind = entries["kind"].text if "kind" in entries else ""
+    kind, kinds = text_of(entries, "kind"), virtual_rigs.VIRTUAL_RIGS.names()
     if not kind:
-        faults.add(tree, "kind", "is missing", f"known: {', '.join(virtual_rigs.VIRTUAL_RIGS.names())}")
-    elif kind not in virtual_rigs.VIRTUAL_RIGS.names():
-        kinds = virtual_rigs.VIRTUAL_RIGS.names()
+        faults.add(tree, "kind", "is missing", f"known: {', '.join(kinds)}")
+    elif kind not in kinds:
         faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, kinds))
     faults.raise_any()
     chosen: virtual_rigs.VirtualRigKind = virtual_rigs.VIRTUAL_RIGS.load(kind)
@@ -68,9 +64,7 @@ def simulate_files(
 
 
 def _write_table(path: Path, table: virtual_rigs.LoggedTable) -> None:
-    """Text with six significant digits, which is what a 16-bit logger holds and more. Parquet as the table
-    says.
-    """
+    """Text with six significant digits, more than a 16-bit logger holds; Parquet as the table says."""
     if table.text:
         rounded = {
             title: arrow_array(np.array([float(f"{value:.6g}") for value in values]))
@@ -78,16 +72,13 @@ def _write_table(path: Path, table: virtual_rigs.LoggedTable) -> None:
         }
         pc.write_csv(pa.table(rounded), path, pc.WriteOptions(quoting_style="none"))
         return
-    packing: dict[str, Any] = {
-        "compression_level": table.level,
-        "use_dictionary": table.dictionary,
-        "use_byte_stream_split": table.split,
-    }
     pq.write_table(
         pa.table({title: arrow_array(values) for title, values in table.columns.items()}),
         path,
         compression="zstd",
-        **packing,
+        compression_level=table.level,
+        use_dictionary=table.dictionary,
+        use_byte_stream_split=table.split,
     )
 
 

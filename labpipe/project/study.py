@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -51,10 +52,9 @@ def study_blocks(study: Study) -> tuple[Block, ...]:
     if len({case.noise for case in study.cases}) > 1:
         blocks.append(_noise_figure(study))
     noisiest = max(case.noise for case in study.cases)
-    blocks.extend(
-        _parameter_table(case) for case in study.cases if case.noise == noisiest and case.parameters
-    )
-    evaluated = dict.fromkeys(case.fit for case in study.cases if case.parameters)
+    with_parameters = [case for case in study.cases if case.parameters]
+    blocks.extend(_parameter_table(case) for case in with_parameters if case.noise == noisiest)
+    evaluated = dict.fromkeys(case.fit for case in with_parameters)
     blocks.extend(_means_table(study, fit) for fit in evaluated)
     return tuple(blocks)
 
@@ -74,12 +74,12 @@ def _case_table(study: Study) -> Table:
             f"{case.median_error:.4g}",
             f"{case.failed} of {case.repeats}",
             _per_cent(case.success[0]),
-            "" if case.rmse_over_bound is None else f"{case.rmse_over_bound:.3f}",
-            "" if case.coverage is None else _per_cent(case.coverage),
+            _shown(case.rmse_over_bound, ".3f"),
+            _per_cent(case.coverage),
         )
         errors = printed.get(case.fit)
         rows.append((*row, f"{errors[levels.index(case.noise)]:g}" if errors else "") if printed else row)
-    numeric = tuple(n for n in range(len(header)) if n != 0)
+    numeric = tuple(range(1, len(header)))
     return Table(header, tuple(rows), "Errors, success and coverage of every fit", numeric)
 
 
@@ -91,18 +91,14 @@ def _parameter_table(case: StudyCase) -> Table:
             f"{p.mean:.6g}",
             f"{p.bias:.2g}",
             f"{p.rmse:.3g}",
-            "" if p.bound is None else f"{p.bound:.3g}",
-            "" if p.std_error is None else f"{p.std_error:.3g}",
-            "" if p.coverage is None else _per_cent(p.coverage),
+            _shown(p.bound, ".3g"),
+            _shown(p.std_error, ".3g"),
+            _per_cent(p.coverage),
         )
         for p in case.parameters
     )
-    return Table(
-        PARAMETER_HEADER,
-        rows,
-        f"{case.fit} at {_per_cent(case.noise)} noise, {case.lines} lines",
-        tuple(range(1, 8)),
-    )
+    caption = f"{case.fit} at {_per_cent(case.noise)} noise, {case.lines} lines"
+    return Table(PARAMETER_HEADER, rows, caption, tuple(range(1, 8)))
 
 
 def _means_table(study: Study, fit: str) -> Table:
@@ -130,9 +126,8 @@ def _noise_figure(study: Study) -> Figure:
             for number, fit in enumerate(fits)
         ]
         goals = [] if goal is None else [level(goal)]
-        panels.append(
-            Panel(Axis("noise", "%"), Axis(title, unit, logarithmic=logarithmic), (*series, *goals))
-        )
+        axis = Axis(title, unit, logarithmic=logarithmic)
+        panels.append(Panel(Axis("noise", "%"), axis, (*series, *goals)))
     caption = (
         "Errors against the Cramer-Rao bound, coverage of the 95 % intervals, and success over the "
         "noise; grey: required."
@@ -148,8 +143,12 @@ def _curve(cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None
     return curve(cases[0].fit, [100 * case.noise for case in cases], values, *look(number), marker=".")
 
 
-def _per_cent(share: float) -> str:
-    return f"{100 * share:.4g} %"
+def _shown(value: float | None, form: str) -> str:
+    return "" if value is None else format(value, form)
+
+
+def _per_cent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.4g} %"
 
 
 def run_studies(settings: StudySettings, work: Work) -> Studies:
@@ -175,9 +174,7 @@ _CASE_VALUES: dict[str, Callable[[StudyCase], float | None]] = {
 
 
 def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -> RuleOutcome:
-    """A rule on "fit[noise].item", or "fit.item" for every noise level. Threshold is the noise level of the
-    success limit.
-    """
+    """A rule on "fit[noise].item", or all noise levels; threshold is the noise of the success limit."""
     match = _STUDIED.match(rule.item)
     if match is None:
         raise rule.fault("is no address", "write study.fit[1 %].coverage")
@@ -207,25 +204,25 @@ def _value(rule: Rule, case: StudyCase, item: str) -> float | None:
 
 
 def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
-    """Mean error, success, RMSE over bound and coverage of every fit at every noise level, as "study.FIT" of
-    test "NOISE %, N lines".
-    """
+    """The results of every fit at every noise level, as "study.FIT" of test "NOISE %, N lines"."""
     for study in studies:
         for case in study.cases:
             test = f"{100 * case.noise:g} %, {case.lines} lines"
             for name in ("mean_error", "success", "rmse_over_bound", "coverage"):
                 value = _CASE_VALUES[name](case)
                 if value is not None and value == value:
-                    parameter = Parameter(name, value, "1", derived=True)
-                    fit, estimator = f"study.{case.fit}", case.estimator
                     yield ListedParameter(
-                        fit=fit, parameter=parameter, test=test, model="study", estimator=estimator
+                        fit=f"study.{case.fit}",
+                        parameter=Parameter(name, value, "1", derived=True),
+                        test=test,
+                        model="study",
+                        estimator=case.estimator,
                     )
 
 
 def study_lines(studies: Studies) -> Iterator[str]:
     """One line for every fit at every noise level, then the thresholds."""
-    return (line for study in studies for line in _study_lines(study))
+    return itertools.chain.from_iterable(map(_study_lines, studies))
 
 
 def _study_lines(study: Study) -> Iterator[str]:
@@ -236,7 +233,7 @@ def _study_lines(study: Study) -> Iterator[str]:
     )
     yield f"  {'fit':<10}{columns}"
     for case in study.cases:
-        bound = "" if case.rmse_over_bound is None else f"{case.rmse_over_bound:.3f}"
+        bound = _shown(case.rmse_over_bound, ".3f")
         coverage = "" if case.coverage is None else f"{100 * case.coverage:.1f} %"
         failed = f"{case.failed} of {case.repeats}"
         yield (

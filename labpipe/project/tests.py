@@ -10,7 +10,7 @@ from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
 from labpipe.project import settings_reader
 from labpipe.project.ingest import is_recording
-from labpipe.project.marked_yaml import Marked
+from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig
@@ -43,9 +43,7 @@ class ReadyFrf:
 
 
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    """The responses of the entry *key*: a file, a description, or a list; faults for those that cannot be
-    read.
-    """
+    """The responses of the entry *key*: a file, a description, or a list; faults for unreadable ones."""
     frfs: list[ReadyFrf] = []
     for entry in settings_reader.listed(node):
         if isinstance(entry.content, dict):
@@ -55,16 +53,19 @@ def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> l
     return frfs
 
 
+def _all_files(
+    node: Marked, key: str, faults: settings_reader.Faults, *, elsewhere: bool = False
+) -> list[Path]:
+    items = settings_reader.listed(node)
+    return [p for item in items for p in settings_reader.files_of(item, key, faults, elsewhere=elsewhere)]
+
+
 def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
     layout = settings_reader.read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
     word = "file" if layout.file else "each"
-    named = [
-        path
-        for item in settings_reader.listed(node.content[word])
-        for path in settings_reader.files_of(item, settings_reader.join(key, word), faults)
-    ]
+    named = _all_files(node.content[word], settings_reader.join(key, word), faults)
     frfs = []
     for paths in filter(None, [(path,) for path in named] if layout.file else [tuple(named)]):
         before = len(faults)
@@ -159,9 +160,7 @@ def read_rig(node: Marked | None, faults: settings_reader.Faults, key: str) -> R
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reads the entries of recordings: *rig* is the rig that the pipeline names for all of them in
-    *rig_node*.
-    """
+    """Reads entries of recordings; *rig*: the one that the pipeline names for all in *rig_node*."""
 
     rig: Rig | None
     rig_node: Marked | None
@@ -195,11 +194,7 @@ class RecordingReader:
             self.faults.add_at(entry.content, key, named[1], what, "leave one out")
         file = entry.content[named[0]] if named else Marked(None, entry.where)
         rig = self._rig(entry, key)
-        paths = [
-            path
-            for item in settings_reader.listed(file)
-            for path in settings_reader.files_of(item, key, self.faults, elsewhere=True)
-        ]
+        paths = _all_files(file, key, self.faults, elsewhere=True)
         if rig is None or not paths:
             return []
         if named == ["join"]:
@@ -222,7 +217,7 @@ class RecordingReader:
         return sources
 
     def _by(self, entry: Marked, key: str) -> str:
-        by = entry.content["by"].text if "by" in entry.content else ""
+        by = text_of(entry.content, "by")
         if "by" in entry.content and by not in BY:
             self.faults.add_at(entry.content, key, "by", f"unknown '{by}'", f"known: {', '.join(BY)}")
         return by
@@ -231,11 +226,11 @@ class RecordingReader:
         node = entry.content.get("pattern")
         if node is None:
             return rig
-        dofs = settings_reader.conditions_in(settings_reader.plain_stem(path), node.text)
+        stem = settings_reader.plain_stem(path)
+        dofs = settings_reader.conditions_in(stem, node.text)
         try:
             if dofs is None:
-                hint = "for example '{}_{output}_{input}'"
-                raise ConfigError(f"does not match '{settings_reader.plain_stem(path)}'", hint=hint)
+                raise ConfigError(f"does not match '{stem}'", hint="for example '{}_{output}_{input}'")
             return move(rig, dofs)
         except ConfigError as error:
             self.faults.add_at(entry.content, key, "pattern", error.what, error.hint)
@@ -282,9 +277,7 @@ class Test:
 
 @dataclass(frozen=True)
 class EachFile:
-    """What a file becomes that is a test by itself: conditions that all have, those from its name by the
-    *pattern*, how it is measured.
-    """
+    """What a file becomes that is a test: common conditions, and those in its name by the *pattern*."""
 
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
@@ -297,9 +290,7 @@ class EachFile:
         return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
-        """The test of a recording, by default named after its file. ConfigError for a name that does not
-        match the pattern.
-        """
+        """The test of a recording, named after its file. ConfigError where the pattern does not match."""
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
@@ -309,9 +300,7 @@ class EachFile:
 
 @dataclass(frozen=True)
 class TestReader:
-    """Reads the tests of one pipeline file: *top* are its entries, *rig* the rig that it names for all
-    recordings.
-    """
+    """Reads the tests of a pipeline file by its entries *top*; *rig*: the one named for all recordings."""
 
     top: dict[str, Marked]
     rig: Rig | None
@@ -342,13 +331,10 @@ class TestReader:
         if "each" in entries:
             yield from self._tests_per_file(entries, key)
         else:
-            name = entries["name"].text if "name" in entries and entries["name"].text else str(number)
-            yield self._test(name, node, key)
+            yield self._test(text_of(entries, "name") or str(number), node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
-        """One test per file, named after it; files that differ only in the parts named by `together` are
-        recordings of one test.
-        """
+        """One test per file; files that differ in the parts of `together` alone are one test."""
         per_file = self._each(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
@@ -369,7 +355,7 @@ class TestReader:
 
     def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
         common, recorded = self._conditions(entries, key)
-        pattern = entries["pattern"].text if "pattern" in entries else ""
+        pattern = text_of(entries, "pattern")
         for name in (*common, *recorded):
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"
@@ -394,7 +380,7 @@ class TestReader:
     def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
         if "together" not in entries:
             return []
-        pattern = entries["pattern"].text if "pattern" in entries else ""
+        pattern = text_of(entries, "pattern")
         parts = [node.text for node in settings_reader.listed(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
@@ -421,15 +407,13 @@ class TestReader:
         return Test(name, tuple(recordings), tuple(frfs), conditions, recorded, frf, repeats)
 
     def _repeats(self, entries: dict[str, Marked], key: str) -> str:
-        repeats = entries["repeats"].text if "repeats" in entries else ""
+        repeats = text_of(entries, "repeats")
         if "repeats" in entries and repeats not in REPEATS:
             self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
         return repeats
 
     def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
-        """The pipeline's frf: with the entries that the test itself gives. An entry without a value takes
-        that of the pipeline away.
-        """
+        """The pipeline's frf: with the test's own entries. One without a value takes it away."""
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
@@ -456,9 +440,8 @@ class TestReader:
                     what, hint = "an amount or a word is needed", "for example speed: 3000 rpm"
                     self.faults.add(node, settings_reader.join(key, "conditions", name), what, hint)
                 continue
-            source = settings_reader.read_settings(
-                RecordedCondition, node, settings_reader.join(key, "conditions", name), self.faults
-            )
+            at = settings_reader.join(key, "conditions", name)
+            source = settings_reader.read_settings(RecordedCondition, node, at, self.faults)
             if source is not None:
                 recorded[name] = source
         return written, recorded

@@ -1,6 +1,4 @@
-"""verify: whether a folder of artefacts holds what labpipe wrote, and whether the files that it was made from
-are still the same.
-"""
+"""verify: whether artefacts are what labpipe wrote, and the files they were made from still the same."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ ABOVE = 3
 
 @dataclass(frozen=True)
 class Verified:
-    """One artefact as it was found. faults: what does not hold; remarks: what could not be compared; inputs:
-    found the same.
-    """
+    """One artefact: faults do not hold, remarks could not be compared, inputs were found the same."""
 
     path: Path
     faults: tuple[str, ...] = ()
@@ -110,9 +106,8 @@ def _kind(path: Path) -> _Kind | None:
 
 
 def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
-    """Every artefact below a folder. *base*: the folder of the pipeline that made them, to which the paths of
-    raw files are relative; by default that in or above the results which holds the pipeline. DataError for no
-    folder, or one without artefacts.
+    """Every artefact below a folder. *base*: the folder of their pipeline, by default that in or above the
+    results; paths of raw files are relative to it. DataError for no folder or no artefacts.
     """
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
@@ -128,9 +123,8 @@ def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
 
 def artefacts_below(folder: Path) -> list[Path]:
     """The files below a folder that have an artefact's name, in order."""
-    return [
-        path for path in without_staging(folder.rglob("*")) if _kind(path) is not None and not path.is_dir()
-    ]
+    below = without_staging(folder.rglob("*"))
+    return [path for path in below if _kind(path) is not None and not path.is_dir()]
 
 
 def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
@@ -174,9 +168,7 @@ def _digest(name: str, folders: Sequence[Path]) -> str | None:
 
 
 def pipeline_folder(path: Path) -> Path | None:
-    """The folder of the pipeline that made a result, where a file of its name stands in one above or beside
-    it.
-    """
+    """The folder of a result's pipeline, where a file of its name stands above or beside it."""
     try:
         name = read_identification(path / NAME if path.is_dir() else path).pipeline
     except DataError:

@@ -1,8 +1,6 @@
-"""Recordings worked on as they arrive: each exactly once, whatever ends the watch in between.
-
-The dataset is the only ledger: a recording that has rows is done. What was worked on and not yet appended is
-done again after a kill, from the artefacts on disk, which gives the same rows; a part of the dataset appears
-whole or not at all.
+"""Recordings worked on as they arrive: each exactly once, whatever ends the watch in between. The dataset is
+the only ledger: what has no rows is done again after a kill, from the artefacts on disk, with the same rows;
+a part of the dataset appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -34,9 +32,7 @@ from labpipe.records.identification import Failed
 
 @dataclass(frozen=True)
 class Arrived:
-    """A recording in the watched folder, with what shows whether it still changes; *marked*: a file beside it
-    says that it is complete.
-    """
+    """A recording that may still change; *marked*: a file beside it says that it is complete."""
 
     path: Path
     size: int
@@ -45,9 +41,7 @@ class Arrived:
 
 
 def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
-    """The files of readable kinds whose names fit the glob *names*, without hidden ones; *marker*: ending of
-    the files that mark others.
-    """
+    """Readable files that fit the glob *names*, none hidden; *marker*: ending of files that mark others."""
     for arrival in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
         if plain_suffix(arrival.path) in READERS and not any(
             part.startswith(".") for part in arrival.path.relative_to(folder).parts
@@ -106,12 +100,9 @@ class Counts:
 
 @dataclass
 class Watch:
-    """One watched folder and its results. *stopped* is asked between recordings; *clock* gives the time in
-    seconds since 1970.
-
-    folder: may be of an object storage. home: where the results are kept, by default *results* itself;
-    another place gets them by *publish*, after which *forget* frees the disk of them. logs: the folder of log
-    and metrics, by default *results*.
+    """One watched folder, perhaps of an object storage, and its results. *stopped* is asked between
+    recordings; *clock*: seconds since 1970. home: where results are kept, by default *results*; another place
+    gets them by *publish*, then *forget* frees the disk. logs: by default *results*.
     """
 
     pipeline: Pipeline
@@ -141,10 +132,7 @@ class Watch:
         self._summary = DatasetSummary()
 
     def run(self) -> DatasetSummary:
-        """Watch until stopped, or once: what all tests say.
-
-        ConfigError for results of other settings, DataError for damaged ones.
-        """
+        """Watch until stopped. ConfigError for other settings' results, DataError for damaged ones."""
         self._resume()
         while True:
             complete = list(self._complete())
@@ -165,10 +153,7 @@ class Watch:
             self.sleep(min(0.2, self.settings.every))
 
     def _resume(self) -> None:
-        """What earlier watches did, by the dataset.
-
-        The move of a bad recording that a kill cut short is finished.
-        """
+        """What earlier watches did; the move of a bad recording that a kill cut short is finished."""
         before = self.results / NAME
         if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
@@ -187,18 +172,14 @@ class Watch:
             self._write_index()
 
     def _complete(self) -> Iterator[Arrived]:
-        """New recordings that are complete: marked so, or neither longer nor later than at the last look, and
-        old enough.
-        """
+        """New recordings that are marked complete, or old enough and the same as at the last look."""
         seen: dict[Path, Arrived] = {}
         self.counts.arriving = 0
         for arrived in self._arrived():
             seen[arrived.path] = arrived
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
-            is_same = (
-                self.settings.settle == 0 or self.settings.once or self._seen.get(arrived.path) == arrived
-            )
-            if arrived.marked or (still and is_same):
+            at_once = self.settings.settle == 0 or self.settings.once
+            if arrived.marked or (still and (at_once or self._seen.get(arrived.path) == arrived)):
                 yield arrived
             else:
                 self.counts.arriving += 1
@@ -239,10 +220,7 @@ class Watch:
                     return
 
     def _job(self, path: Path, scratch: Path) -> Job:
-        """The work on a recording.
-
-        LabpipeError for one that is no test, or whose results would take the place of another one's.
-        """
+        """The work on a recording. LabpipeError for no test, or results in place of another one's."""
         assert self.pipeline.rig is not None
         test = self.each.test(SourceFile(path, self.pipeline.rig), self.name_of(path))
         name = Path(fits_file_name(test.name)).stem
@@ -313,10 +291,8 @@ class Watch:
         self.publish()
 
     def _quarantine(self, test: str, reason: str) -> None:
-        """Move a bad recording aside, its reason first; nothing where it has gone already.
-
-        In an object storage it stays where it is: an object cannot be moved in one step, and its rows keep it
-        from being looked at again.
+        """Move a bad recording aside, its reason first; nothing where it has gone already. An object of a
+        storage cannot be moved in one step and stays; by its rows it is not looked at again.
         """
         path = self._paths.get(test)
         if path is None or (not self._stays and not path.exists()):

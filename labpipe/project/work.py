@@ -28,10 +28,9 @@ COMPARE_PREFIX, FIT_PREFIX = "compare.", "identify."
 
 @dataclass(frozen=True)
 class Work:
-    """A pipeline whose recordings have been measured. tests: what came of every test. test_fits: fits already
-    made test by test, by their name in the pipeline. fits: those of the sections so far. failed: tests that
-    are missing, and comparisons that cannot do without them. *jobs*: processes of a study, 0 for one per
-    processor.
+    """A pipeline whose recordings have been measured. test_fits: made already test by test, by their name in
+    the pipeline. fits: of the sections so far. failed: missing tests, and comparisons that need them. *jobs*:
+    processes of a study, 0 for one per processor.
     """
 
     pipeline: Pipeline
@@ -131,9 +130,7 @@ def fits_of(
     pipeline_path: Path,
     repeats: Mapping[str, str] = MappingProxyType({}),
 ) -> list[Fit]:
-    """The fits of the responses or decays whose test the settings name, or of all. *repeats*: what tests say
-    of theirs, by name. LabpipeError names fit and test.
-    """
+    """The fits of the tests named, or of all; *repeats*: what tests say. LabpipeError names fit and test."""
     # What fits is not imported by a run that finds all its fits fresh.
     from labpipe.estimation.budget import with_repeat_sources
     from labpipe.estimation.fitting import identify
@@ -144,12 +141,8 @@ def fits_of(
             continue
         try:
             with_repeats = with_repeats_of(settings, repeats.get(measured.name, ""))
-            test_fits = [
-                with_repeat_sources(
-                    fit, settings.between, measured.name, measured.conditions, settings.coverage
-                )
-                for fit in identify(measured, with_repeats)
-            ]
+            scatter = settings.between, measured.name, measured.conditions, settings.coverage
+            test_fits = [with_repeat_sources(fit, *scatter) for fit in identify(measured, with_repeats)]
         except (LabpipeError, LinAlgError) as error:
             test = f", test {measured.name}" if measured.name else ""
             where = f"{pipeline_path}: identify.{settings.name}{test}"
