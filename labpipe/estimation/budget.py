@@ -414,21 +414,21 @@ def _linear(model: BandModel) -> DynamicModel:
 
 def likelihood_step(case: Case) -> Step:
     """p - (J^T J)^-1 J^T (r(q + dq) - r(q)), the weighted residual r and its Jacobian J at the estimate."""
-    weights, jacobian, residual = _linearise(case)
+    problem, jacobian, residual = _linearise(case)
     _, inverse = solve_scaled(jacobian, residual)
 
     def step(model: BandModel, changed: Measured) -> FloatArray:
-        moved = OutputError(changed, expected(changed, model), weights).residual(case.estimate.values)
+        moved = OutputError(changed, expected(changed, model), problem.whitener).residual(
+            case.estimate.values
+        )
         return np.asarray(case.estimate.values - inverse @ (jacobian.T @ (moved - residual)))
 
     return step
 
 
-def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    measured, values = case.measured, case.estimate.values
-    weights = fit_weights(measured)
-    problem = OutputError(measured, expected(measured, case.model), weights)
-    return weights, problem.jacobian(values), problem.residual(values)
+def _linearise(case: Case) -> tuple[OutputError[Any], FloatArray, FloatArray]:
+    problem, values = OutputError.of(case.measured, case.model), case.estimate.values
+    return problem, problem.jacobian(values), problem.residual(values)
 
 
 # Scatter between repeats of a test as sources of its uncertainty: drift between days, remounting.

@@ -427,7 +427,9 @@ def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexA
         if not middle.size or frequency.size >= MOST:
             break
         at_middle = model(middle)
-        bend = _bend(values, at_middle)
+        # Largest distance of any element from the straight line across each step, over its size.
+        size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
+        bend = np.max(np.abs(at_middle - (values[:-1] + values[1:]) / 2) / size, axis=(1, 2))
         # The most bent steps first, as many as there is room for.
         ranked = np.argsort(-bend, kind="stable")[: MOST - frequency.size]
         chosen = np.sort(ranked[bend[ranked] > FLATNESS])
@@ -444,13 +446,6 @@ def between(lines: FloatArray) -> FloatArray:
     parts = max(1, min(max(PARTS, -(-(FEWEST - 1) // steps)), (MOST - 1) // steps))
     places = np.arange((lines.size - 1) * parts + 1) / parts
     return np.interp(places, np.arange(lines.size), lines)
-
-
-def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
-    """(n - 1,) largest distance of any element from the straight line across each step, over its size."""
-    across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
-    size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
-    return np.asarray((across / size).max(axis=(1, 2)))
 
 
 # What no residual can show, and no number states, is listed by name: type B of the GUM.

@@ -38,7 +38,7 @@ def bootstrap(
     *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is
     reproducible. FitError for an unknown noise, too few repeats, or failed refits.
     """
-    _check("bootstrap", repeats, f"at least {FEWEST_REPEATS}, 200 is usual", measured, FEWEST_REPEATS)
+    _check("bootstrap", repeats, FEWEST_REPEATS, 200, measured)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     refits: list[dict[str, float]] = []
     for _ in range(repeats):
@@ -56,9 +56,10 @@ def bootstrap(
     return tuple(scattered), note
 
 
-def _check(key: str, n: int, usual: str, measured: Measured, fewest: int) -> None:
+def _check(key: str, n: int, fewest: int, usual: int, measured: Measured) -> None:
     if n < fewest:
-        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=usual)
+        hint = f"at least {fewest}, {usual} is usual"
+        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=hint)
     if not has_noise(measured):
         what = f"{key} needs the noise of the FRF, which is not known"
         raise FitError(what, hint=f"leave `{key}` out")
@@ -75,15 +76,14 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
-    values, vectors = np.linalg.eigh(measured.covariance)
     if measured.noise is not None:
         noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n))[:, :, 0]
-        return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
-    # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
-    white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(
-        measured.shared_noise * np.maximum(values, 0.0) / 2
-    )
-    noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
+    else:
+        values, vectors = np.linalg.eigh(measured.covariance)
+        # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
+        size = np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
+        white = rng.standard_normal((2, *size.shape)) * size
+        noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
 
 
@@ -129,7 +129,7 @@ def propagate(
     The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
     Equation (unc-first-order).
     """
-    _check("monte_carlo", draws, f"at least {FEWEST_DRAWS}, 2000 is usual", case.measured, FEWEST_DRAWS)
+    _check("monte_carlo", draws, FEWEST_DRAWS, 2000, case.measured)
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     # A number that the data contradict is as uncertain as in the budget.
     counted = {source.source: source for source in budget.sources}

@@ -78,11 +78,9 @@ class SharedNoise:
     @cached_property
     def _factors(self) -> ComplexArray:
         """Gains by neighbour, (n_neighbour, n_line, n_element or 1)."""
-        return (
-            np.ones((1, self.numbers.size, 1), np.complex128)
-            if self.gains is None
-            else self.gains.swapaxes(0, 1)
-        )
+        if self.gains is None:
+            return np.ones((1, self.numbers.size, 1), np.complex128)
+        return self.gains.swapaxes(0, 1)
 
     @cached_property
     def _places(self) -> IntArray:
@@ -182,13 +180,9 @@ def shared_residual(
     product = noise.times(jacobian).reshape(columns.shape)
     middle = (columns.conj().T @ product).real
     square = (product.conj().T @ product).real
-    mean = 2 * noise.trace * jacobian.shape[1] - float(np.sum(inverse * middle))
-    half = inverse @ middle
-    spread = (
-        2 * noise.power * jacobian.shape[1]
-        - 2 * float(np.sum(inverse * square))
-        + float(np.trace(half @ half))
-    )
+    n_element, half = jacobian.shape[1], inverse @ middle
+    mean = 2 * noise.trace * n_element - float(np.sum(inverse * middle))
+    spread = 2 * (noise.power * n_element - float(np.sum(inverse * square))) + float(np.trace(half @ half))
     return SharedResidual(half @ inverse, mean, mean**2 / spread)
 
 
@@ -332,10 +326,9 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
     white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
     of_noise = white @ np.linalg.cholesky(noise)
     pairs = []
-    for distance in range(leakage.correlation.size + 2):
+    for distance, shared in enumerate([1.0, *leakage.correlation.tolist(), 0.0]):
         first, second = leakage.pairs(distance)
         covariance, turned = _scatter(leakage, deviation, power, distance)
-        shared = float(([1.0, *leakage.correlation, 0.0])[distance])
         correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (
             of_noise[first] @ hermitian(of_noise[second])
         )
@@ -404,8 +397,7 @@ def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexAr
     beside = covariance - apparent
     noise = neighbourhood_mean(covariance, every, HALF_WIDTH)
     for _ in range(ROUNDS):
-        size = np.sqrt(np.einsum("lii->li", noise + apparent).real)
-        weight = 1 / (size[:, :, None] * size[:, None, :]) ** 2
+        weight = 1 / _sizes(noise + apparent) ** 2
         noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH) / neighbourhood_mean(
             weight, every, HALF_WIDTH
         )
@@ -415,8 +407,13 @@ def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexAr
 
 def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
     """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole*."""
-    size = np.sqrt(np.einsum("lii->li", whole).real)
-    outer = size[:, :, None] * size[:, None, :]
-    values, vectors = np.linalg.eigh(without_rounding(noise / outer))
+    sizes = _sizes(whole)
+    values, vectors = np.linalg.eigh(without_rounding(noise / sizes))
     raised = np.maximum(values, SMALLEST_NOISE)
-    return (vectors * raised[:, None, :]) @ hermitian(vectors) * outer
+    return (vectors * raised[:, None, :]) @ hermitian(vectors) * sizes
+
+
+def _sizes(covariance: ComplexArray) -> FloatArray:
+    """Products s_a s_b of the standard deviations, (n_line, n, n)."""
+    size = np.sqrt(np.einsum("lii->li", covariance).real)
+    return np.asarray(size[:, :, None] * size[:, None, :])

@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import MAX_ITERATIONS, Linearisation, Minimum, minimise, triangle_of_products
-from labpipe.estimation.leakage import expected, leaking_noise, shared_residual
+from labpipe.estimation.leakage import leaking_noise, shared_residual
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel, ResponseModel, compliance
 from labpipe.estimation.output_error import NormalEquations, OutputError, has_line_products, normal_equations
@@ -26,7 +26,6 @@ from labpipe.estimation.transfer_mode import TransferMode, peak_starts, transfer
 from labpipe.estimation.weights import (
     WeightUncertainty,
     complex_rows,
-    fit_weights,
     fitted_uncertainty,
     has_noise,
     weight_uncertainty,
@@ -153,7 +152,7 @@ def maximum_likelihood(
     dof = _dof(measured, model)
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
-    problem = OutputError(measured, expected(measured, model), fit_weights(measured))
+    problem = OutputError.of(measured, model)
 
     def p_value(chi2: float) -> float:
         return uncertainty.p_value(chi2 / dof / uncertainty.excess, dof)
@@ -196,9 +195,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     near; *name* of the start.
     """
     _dof(measured, model)
-    problem: OutputError[ReceptanceModel] = OutputError(
-        measured, expected(measured, model), fit_weights(measured)
-    )
+    problem = OutputError.of(measured, model)
     return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
 
 

@@ -39,7 +39,7 @@ BIASED = 4.0
 # many hertz to either side, and as a multiple of the mains' frequency [Hz].
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
-
+RICHER = "Use a richer model, or narrow the band"
 # Where nothing could tell whether a residual is noise.
 NOT_JUDGED = Finding(
     "not-judged",
@@ -205,9 +205,7 @@ def by_lines(case: Case) -> Estimate:
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
     if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
         return estimate
-    problem: OutputError[ReceptanceModel] = OutputError(
-        measured, expected(measured, case.model), fit_weights(measured)
-    )
+    problem = OutputError.of(measured, case.model)
     jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
@@ -216,7 +214,7 @@ def by_lines(case: Case) -> Estimate:
 def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
-    jacobian, residual = (best.problem.jacobian(best.values), best.problem.residual(best.values))
+    jacobian, residual = best.problem.jacobian(best.values), best.problem.residual(best.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
@@ -268,11 +266,17 @@ def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     if error is None:
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
+    return _stated(judged, best, error, "Values and intervals", factor)
+
+
+def _stated(
+    judged: _Judge, best: _Minimum, error: ModelError | CoefficientError, what: str, growth: float
+) -> Judgement:
     text = (
-        f"{_wording(best)}; most likely {error.reason}. Values and intervals include what the model leaves "
-        f"unexplained, and are up to {factor:.3g} times as wide as noise alone makes them"
+        f"{_wording(best)}; most likely {error.reason}. {what} include what the model leaves unexplained, "
+        f"and are up to {growth:.3g} times as wide as noise alone makes them"
     )
-    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), model_error=error)
+    return Judgement(judged.finding(text, RICHER), model_error=error)
 
 
 def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
@@ -283,13 +287,7 @@ def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     if best.assessed.reduced is not None:
         larger = float(np.max(np.diag(best.assessed.covariance) / np.diag(best.assessed.inverse)))
     error = coefficient_error(judged.measured, best.problem.model, best.values, weights, larger)
-    if error is None:
-        return None
-    text = (
-        f"{_wording(best)}; most likely {error.reason}. Intervals include what the model leaves "
-        f"unexplained, and are up to {error.growth:.3g} times as wide as noise alone makes them"
-    )
-    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), model_error=error)
+    return None if error is None else _stated(judged, best, error, "Intervals", error.growth)
 
 
 def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
@@ -334,7 +332,7 @@ def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) ->
         f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )
-    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), covariance)
+    return Judgement(judged.finding(text, RICHER), covariance)
 
 
 def _wording(best: _Minimum) -> str:

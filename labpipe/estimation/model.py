@@ -250,15 +250,13 @@ class DynamicModel:
         terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
         by_dof = np.ascontiguousarray(h.transpose(1, 0, 2))
         for kind, factor in _line_factors(omega).items():
-            stack = self._stacks[kind]
-            acting = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
-            if acting.size:
+            acting = self.acting[kind]
+            if acting is not None:
                 moved = (by_dof * factor[:, None]).reshape(n_dof, -1).astype(np.complex128, copy=False)
-                products = stack[acting].reshape(-1, n_dof).astype(np.complex128) @ moved
-                terms[acting] += products.reshape(acting.size, n_dof, n_line, n_input)
-        force = self._stacks["force"]
-        if np.any(force):
-            terms -= force[:, :, None]
+                stack = self._stacks[kind][acting.place].reshape(-1, n_dof).astype(np.complex128)
+                terms[acting.place] += (stack @ moved).reshape(-1, n_dof, n_line, n_input)
+        if self.acting["force"] is not None:
+            terms -= self._stacks["force"][:, :, None]
         return terms.transpose(0, 2, 1, 3)
 
     def equation_constant(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
@@ -371,21 +369,17 @@ def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
         _check_names(model, name, "fixed")
         model = model.fixed(name, value)
     for group in settings.tied:
-        model = _tie(model, group)
+        for name in group:
+            _check_names(model, name, "tied")
+        units = {term.unit for term in model.terms if term.name in group}
+        if len(set(group)) < 2 or len(units) > 1:
+            what = f"tied: {', '.join(group)} cannot have one value"
+            raise ConfigError(what, hint="name two or more coefficients of one unit")
+        model = model.tied(group)
     if not model.terms:
         what = "every coefficient is fixed, so nothing is left to estimate"
         raise ConfigError(what, hint="shorten `fixed`")
     return model
-
-
-def _tie(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
-    for name in group:
-        _check_names(model, name, "tied")
-    units = {term.unit for term in model.terms if term.name in group}
-    if len(set(group)) < 2 or len(units) > 1:
-        what = f"tied: {', '.join(group)} cannot have one value"
-        raise ConfigError(what, hint="name two or more coefficients of one unit")
-    return model.tied(group)
 
 
 def _check_names(model: DynamicModel, name: str, key: str) -> None:

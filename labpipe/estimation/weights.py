@@ -20,7 +20,7 @@ from labpipe.estimation.statistics import stack
 
 # Share of the standard deviations by which a covariance may differ from such a product: rounding.
 ROUNDING = 1e-12
-# Numbers of a covariance that are looked at together, in the cache.
+# Complex numbers that are looked at, or whitened, together in the cache.
 CACHED_NUMBERS = 1 << 16
 
 
@@ -78,8 +78,6 @@ SINGULAR_ROUNDINGS = 100
 # Standard errors by which noise of the forces may move an estimate through its weights; how far the noise of
 # a line may reach in its deviations, and as a part of a force.
 LEAST_SHIFT, FARTHEST, MOST_MOVED = 0.05, 3.0, 0.5
-# Complex numbers that are whitened together, in the cache.
-CACHED_TERMS = 1 << 16
 
 
 # A whitener (n_line, n, n) [N/m], its diagonals (n_line, n) where all else is zero, or its factors.
@@ -133,7 +131,7 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
 
 def fitted_uncertainty(
     measured: Measured,
-    noise: SharedNoise | LineBlocks | None,
+    noise: SharedNoise | LineBlocks,
     uncertainty: WeightUncertainty,
     jacobian: FloatArray,
     inverse: FloatArray,
@@ -145,11 +143,8 @@ def fitted_uncertainty(
     errors of the noise are a common factor of a resonance's weights, and cost no efficiency. Equation
     (est-ml-covariance).
     """
-    if noise is None:
-        return uncertainty.inflation * inverse, uncertainty
-    n_equation, n_parameter = jacobian.shape
     residual = shared_residual(noise, complex_rows(jacobian, measured.omega.size), inverse)
-    dof = n_equation - n_parameter
+    dof = jacobian.shape[0] - jacobian.shape[1]
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
     changed = replace(
@@ -335,7 +330,7 @@ def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
     by_line = terms.transpose(1, 2, 3, 0)
     whitener = short_weights(whitener)
     stacked_columns = np.empty((2, n_line, n, n_term))
-    n_chunk = max(16, CACHED_TERMS // (n * n_term))
+    n_chunk = max(16, CACHED_NUMBERS // (n * n_term))
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
         white = white_columns(whitener, lines, by_line[lines])
