@@ -185,9 +185,8 @@ class RationalFit:
         weighted = np.einsum("lef,lf->le", self._precision, right_side) * weight.conj()[:, None]
         basis = self.basis[:, :n].conj()
         along = np.einsum("le,le->l", elements.conj(), weighted)
-        return normal, np.concatenate(
-            [-(basis.T @ along).real, (basis[:, : n - 1].T @ weighted).real.T.ravel()]
-        )
+        numerator = (basis[:, : n - 1].T @ weighted).real.T.ravel()
+        return normal, np.concatenate([-(basis.T @ along).real, numerator])
 
     def _sums(self, rows: int, columns: int, values: ComplexArray) -> FloatArray:
         """Real part of the sum over lines of conj(phi_a) phi_b *values* (n_line, n), for a < *rows*, b <
@@ -249,9 +248,7 @@ def candidates(
     if whole:
         results.update(_orders(measured, len(setup.outputs)))
     fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
-    inside = {
-        variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants
-    }
+    inside = {of.name: [fitted[name] for name in of.inside if name in fitted] for of in variants}
     tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
     left_out = "; ".join(name for name in results if name not in fitted)
     what = f"Compared models left out, their descents found no minimum: {left_out}."

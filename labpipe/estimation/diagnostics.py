@@ -203,9 +203,8 @@ def _growth(
 ) -> float | None:
     if estimate.amplification is None:
         return None
-    largest = {
-        unit: max(abs(v) for v, u in zip(estimate.values, units, strict=True) if u == unit) for unit in units
-    }
+    sizes = list(zip(units, np.abs(estimate.values), strict=True))
+    largest = {unit: max(size for u, size in sizes if u == unit) for unit in units}
     return max(
         float(amplification / largest[unit]) if largest[unit] > 0 else float("inf")
         for name, unit, amplification in zip(names, units, estimate.amplification, strict=True)

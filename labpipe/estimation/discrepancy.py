@@ -215,9 +215,8 @@ def _linearised(
     columns = np.ascontiguousarray((j / scale).T)
     turned = columns.conj()
     products = (turned[:, None] * columns).real.reshape(-1, r.size)
-    f = 2 * (of.damped @ products.T).reshape(-1, scale.size, scale.size) + prior * np.outer(
-        1 / scale, 1 / scale
-    )
+    of_prior = prior * np.outer(1 / scale, 1 / scale)
+    f = 2 * (of.damped @ products.T).reshape(-1, scale.size, scale.size) + of_prior
     g = 2 * (of.damped @ (turned * r).real.T) + (prior @ away) / scale
     return scale, f, g, -of.volume - of.damped @ np.abs(r) ** 2 - 0.5 * away @ prior @ away
 

@@ -95,9 +95,8 @@ def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
     error = float(np.std(values, ddof=1))
     t_ratio = None if parameter.t_ratio is None else parameter.value / error
     significant = None if parameter.significant is None else bool(low > 0 or high < 0)
-    return replace(
-        parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant
-    )
+    ends = float(low), float(high)
+    return replace(parameter, std_error=error, ci95=ends, t_ratio=t_ratio, significant=significant)
 
 
 FEWEST_DRAWS = 200
@@ -200,9 +199,8 @@ def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
     """The parameters whose scatter is not what first order says, beyond three standard deviations of it."""
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
-    ratio = np.divide(
-        budget.drawn[:, 0], budget.combined, out=np.ones_like(budget.combined), where=budget.combined > 0
-    )
+    drawn, stated = budget.drawn[:, 0], budget.combined
+    ratio = np.divide(drawn, stated, out=np.ones_like(stated), where=stated > 0)
     far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
     if not np.any(far):
         return ()

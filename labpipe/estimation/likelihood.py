@@ -57,8 +57,7 @@ def starts(
     """
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
-    by_products = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
-    values = by_products
+    values = _by_line_products(problem, None)
     if values is None:
         values = equation_solution(regression(problem.measured, linear, "none"), linear)[0]
     attempts = [_start(problem, "least squares", model.from_linear(values))]
@@ -83,21 +82,22 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
 
 
 def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
-    measured, linear = problem.measured, problem.model.linear
-    if has_line_products(linear, problem.weights):
-        values = _by_line_products(problem, last)
-        if values is not None:
-            return values
-    h, omega = measured.matrix, measured.omega
+    values = _by_line_products(problem, last)
+    if values is not None:
+        return values
+    linear, h, omega = problem.model.linear, problem.measured.matrix, problem.measured.omega
     terms = linear.filtered(last, linear.equation_terms(h, omega), omega)
     right_side = linear.filtered(last, linear.equation_constant(h, omega)[None], omega)[0]
     return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
 
 
 def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
-    """The same from products line by line, without weights and Z_last^-1 if no *last*; None if inexact."""
-    measured, linear = problem.measured, problem.model.linear
-    weights = problem.weights
+    """The same from products line by line, without weights and Z_last^-1 if no *last*; None where there are
+    none, or inexact ones.
+    """
+    measured, linear, weights = problem.measured, problem.model.linear, problem.weights
+    if not has_line_products(linear, weights):
+        return None
     if last is None:
         weights = np.ones((measured.omega.size, measured.matrix[0].size), np.complex128)
 

@@ -128,9 +128,8 @@ class ActingTerms:
         if self.plain:
             return elements
         if self.single is not None:
-            return np.asarray(
-                elements[..., self.single] * self.matrices[self.single, np.arange(self.single.size)]
-            )
+            factors = self.matrices[self.single, np.arange(self.single.size)]
+            return np.asarray(elements[..., self.single] * factors)
         return np.asarray(elements @ self.matrices)
 
 
@@ -182,9 +181,8 @@ class DynamicModel:
         joined = parameters @ self._joined[:-1] + self._joined[-1]
         square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
-        return Matrices(
-            square[..., 0, :, :], square[..., 1, :, :].real, square[..., 2, :, :].real, force.real
-        )
+        stiffness, damping, mass = np.moveaxis(square, -3, 0)
+        return Matrices(stiffness, damping.real, mass.real, force.real)
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation
@@ -197,9 +195,8 @@ class DynamicModel:
         (est-receptance).
         """
         whole = self.whole(parameters)
-        return _regular(
-            np.linalg.solve, _dynamic_stiffness(whole, omega), whole.force.astype(np.complex128)[None]
-        )
+        force = whole.force.astype(np.complex128)[None]
+        return _regular(np.linalg.solve, _dynamic_stiffness(whole, omega), force)
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit];
@@ -261,9 +258,7 @@ class DynamicModel:
 
     def equation_constant(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
         """B_0 - Z_0 H [1]: the right side of the equation of motion, (n_line, n_dof, n_input)."""
-        return np.asarray(
-            self.constant.force - _dynamic_stiffness(self.constant, omega) @ h, dtype=np.complex128
-        )
+        return self.constant.force - _dynamic_stiffness(self.constant, omega) @ h
 
     @cached_property
     def _joined(self) -> FloatArray:
@@ -275,18 +270,16 @@ class DynamicModel:
     @cached_property
     def acting(self) -> dict[str, ActingTerms | None]:
         """Of each kind of matrix, the terms that have one; None where no term has."""
-        return {
-            kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()
-        }
+        n = len(self.terms)
+        return {kind: ActingTerms.of(stack.reshape(n, -1)) for kind, stack in self._stacks.items()}
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
-        return {
-            kind: np.array([getattr(term.matrices, kind) for term in self.terms]).reshape(
-                -1, *getattr(self.constant, kind).shape
-            )
-            for kind in UNITS
-        }
+        stacks = {}
+        for kind in UNITS:
+            shape = getattr(self.constant, kind).shape
+            stacks[kind] = np.array([getattr(term.matrices, kind) for term in self.terms]).reshape(-1, *shape)
+        return stacks
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
@@ -302,9 +295,8 @@ def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
 
 def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     w = omega[:, None, None]
-    return np.asarray(
-        matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128
-    )
+    whole = matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping
+    return np.asarray(whole, np.complex128)
 
 
 def _regular(operation: Callable[..., ComplexArray], *matrices: ComplexArray) -> ComplexArray:

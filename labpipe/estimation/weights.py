@@ -121,10 +121,8 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
         return WeightUncertainty(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
     if a <= 1:
-        raise FitError(
-            f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only",
-            hint="average more periods or blocks, or raise `smooth`",
-        )
+        what = f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only"
+        raise FitError(what, hint="average more periods or blocks, or raise `smooth`")
     inflation, shared = measured.shared_noise * nu**2 / (a**2 - 1), measured.shared_power
     return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, shared), shared)
 
@@ -185,9 +183,9 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
 def has_noise(measured: Measured) -> bool:
     """Whether the FRF has a measured covariance above rounding."""
     variance = measured.variance
-    return variance is not None and bool(
-        np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2)
-    )
+    if variance is None:
+        return False
+    return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
 
 
 def equal_weights(measured: Measured) -> ComplexArray:

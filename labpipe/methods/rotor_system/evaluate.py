@@ -487,13 +487,11 @@ def findings_of(posterior: SystemPosterior) -> Iterator[Finding]:
         )
     explained = explanations(posterior)
     if any(explanation.fall > TELLING and explanation.test for explanation in explained):
-        yield Finding(
-            "tests-disagree", "tests of one rotor disagree: " + explained_text(posterior, explained)
-        )
+        text = f"tests of one rotor disagree: {explained_text(posterior, explained)}"
+        yield Finding("tests-disagree", text)
     for name, z in posterior.contradicted:
-        yield Finding(
-            "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
-        )
+        text = f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
+        yield Finding("stated-value", text)
     yield from _notes(posterior)
 
 

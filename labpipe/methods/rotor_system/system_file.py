@@ -230,9 +230,8 @@ def _system(
         material: free("young", _relative(taken["materials"].get(material.name)))
         for material in {element.material for element in rig.rotor.elements}
     }
-    masses = tuple(
-        free("masses", _relative(taken["discs"].get(str(n)))) for n in range(1, len(rig.rotor.discs) + 1)
-    )
+    discs = [taken["discs"].get(str(n)) for n in range(1, len(rig.rotor.discs) + 1)]
+    masses = tuple(free("masses", _relative(mass)) for mass in discs)
     unbalances: dict[int, tuple[complex, float]] = {}
     for n, part in enumerate(rig.unbalances, 1):
         error = free("unbalance", taken["unbalances"].get(str(n), Uncertain(0.0)).std_error)
