@@ -99,10 +99,8 @@ def _slopes(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], values: Callable[[Case], FloatArray]
 ) -> FloatArray:
     sizes = [SHARE * uncertainty.std_error for uncertainty, _ in sources]
-    ends = [
-        (values(change(case, size)), values(change(case, -size)))
-        for size, (_, change) in zip(sizes, sources, strict=True)
-    ]
+    pairs = zip(sizes, sources, strict=True)
+    ends = [(values(change(case, size)), values(change(case, -size))) for size, (_, change) in pairs]
     return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 

@@ -50,11 +50,8 @@ def stated_findings(
         "distance. One of these numbers is wrong, or its uncertainty is larger than stated: weigh or "
         "calibrate again"
     )
-    return [
-        Finding(code, f"the data contradict {'; '.join(named)}. {what}")
-        for code, named in text.items()
-        if named
-    ]
+    stated = {code: "; ".join(named) for code, named in text.items() if named}
+    return [Finding(code, f"the data contradict {named}. {what}") for code, named in stated.items()]
 
 
 def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:

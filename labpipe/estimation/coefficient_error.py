@@ -84,14 +84,12 @@ class CoefficientError:
         *reported*: all parameters of a fit from values (n,) and covariance (n, n) [parameter units].
         """
         wide, noise = (
-            {parameter.name: parameter for parameter in reported(self.mean, covariance)}
+            {p.name: p for p in reported(self.mean, covariance)}
             for covariance in (self.covariance, self.noise)
         )
         return tuple(
-            self._statement(parameter, wide[parameter.name], noise[parameter.name].std_error)
-            if parameter.name in wide
-            else parameter
-            for parameter in parameters
+            self._statement(p, wide[p.name], noise[p.name].std_error) if p.name in wide else p
+            for p in parameters
         )
 
     def _statement(self, parameter: Parameter, wide: Parameter, noise: float | None) -> Parameter:

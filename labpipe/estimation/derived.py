@@ -357,8 +357,8 @@ def widened_parameters(
     pairs = zip(plain, wide, strict=True)
     factors = [(after.std_error or 0.0) / (before.std_error or np.inf) for before, after in pairs]
     return tuple(
-        statistics.widen(parameter, max(factor, 1.0)) if factor > 0 else parameter
-        for parameter, factor in zip(parameters, factors, strict=True)
+        statistics.widen(p, max(factor, 1.0)) if factor > 0 else p
+        for p, factor in zip(parameters, factors, strict=True)
     )
 
 

@@ -256,10 +256,8 @@ class Mixture:
         """
         centre, low, high = self.interval(row)
         by_noise = NORMAL * float(np.sqrt(row @ self.noise @ row))
-        below, above = (
-            float(np.sqrt(d**2 + (CALIBRATION**2 - 1) * max(d**2 - by_noise**2, 0.0)))
-            for d in (centre - low, high - centre)
-        )
+        sides, growth = (centre - low, high - centre), CALIBRATION**2 - 1
+        below, above = (float(np.sqrt(d**2 + growth * max(d**2 - by_noise**2, 0.0))) for d in sides)
         return centre, centre - below, centre + above
 
     @property

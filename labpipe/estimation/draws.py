@@ -49,10 +49,7 @@ def bootstrap(
         f"Standard errors and intervals by noise alone come from {len(refits)} refits on noise drawn from "
         "the FRF's covariance (bootstrap)."
     )
-    scattered = (
-        with_scatter(parameter, [values[parameter.name] for values in refits if parameter.name in values])
-        for parameter in parameters
-    )
+    scattered = (with_scatter(p, [of[p.name] for of in refits if p.name in of]) for p in parameters)
     return tuple(scattered), note
 
 

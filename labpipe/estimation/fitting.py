@@ -142,11 +142,8 @@ def fit_linear(
             what = f"band {band[0]:g}-{band[1]:g} Hz: {error.what}"
             raise FitError(what, error.where, error.hint) from None
         drift = causes.drift_findings(measured, fit.model, fit.values, len(bands))
-        quality = (
-            *diagnostics.quality_findings(response, rows, columns, lines),
-            *diagnostics.covariance_findings(response),
-            *drift,
-        )
+        of_noise = diagnostics.covariance_findings(response)
+        quality = (*diagnostics.quality_findings(response, rows, columns, lines), *of_noise, *drift)
         # Sliding bands are drawn as coefficients over frequency, what is only counted not at all.
         curve = _curve(view, measured, fit, dense=judging and len(bands) == 1)
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))

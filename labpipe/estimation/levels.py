@@ -74,10 +74,8 @@ def _difference(low: _Test, high: _Test) -> str:
     p_value = min(1.0, min([together, *p_values.values()]) * (1 + len(p_values)))
     if p_value >= AMPLITUDE_P:
         return ""
-    listed = " and ".join(
-        f"{kind} by {change_text(100 * amount, 100 * error, '%')}"
-        for kind, (amount, error) in amounts.items()
-    )
+    changes = ((kind, change_text(100 * by, 100 * error, "%")) for kind, (by, error) in amounts.items())
+    listed = " and ".join(f"{kind} by {text}" for kind, text in changes)
     return (
         f"between {low_text} (test {low_fit.test}) and {high_text} (this test) {listed or 'the parameters'} "
         f"changed on the whole (p = {p_value:.2g}): the rig is not linear, and the coefficients hold for "

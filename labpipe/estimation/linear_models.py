@@ -142,10 +142,8 @@ def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float])
     """Share of every force along every response, cos(force - response), (n_output, n_input), of sensors
     turned by 45 deg in their own directions; rounding next to zero is zero.
     """
-    response_angles = [
-        port.angle if port.angle is not None else axis * np.pi / 2
-        for port, axis in zip(outputs, axes, strict=True)
-    ]
+    pairs = zip(outputs, axes, strict=True)
+    response_angles = [axis * np.pi / 2 if port.angle is None else port.angle for port, axis in pairs]
     if len(response_angles) == 2 and abs(np.cos(response_angles[0] - response_angles[1])) > PERPENDICULAR:
         what = f"the responses {labels(outputs)} are not perpendicular"
         raise ConfigError(what, hint="the model needs two directions at 90 deg")

@@ -241,10 +241,8 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
 
 def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
     n_dof = model.constant.mass.shape[0]
-    acts = [
-        np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1)
-        for m in (term.matrices for term in model.terms)
-    ]
+    every = [term.matrices for term in model.terms]
+    acts = [np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1) for m in every]
     groups: list[tuple[list[int], list[int]]] = []
     for row in range(n_dof):
         rows, columns = [row], {number for number, places in enumerate(acts) if places[row]}

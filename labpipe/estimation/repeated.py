@@ -110,10 +110,8 @@ def over_repeats(
     pooled = tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
     if len(repeats) < 2:
         return pooled
-    return tuple(
-        _over(fit, tuple(repeats), of_fit, test)
-        for fit, of_fit in zip(pooled, zip(*repeats.values(), strict=True), strict=True)
-    )
+    by_fit = zip(pooled, zip(*repeats.values(), strict=True), strict=True)
+    return tuple(_over(fit, tuple(repeats), of_fit, test) for fit, of_fit in by_fit)
 
 
 def _numbered_as(pooled: Fit, fit: Fit) -> Fit:

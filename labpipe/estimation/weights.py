@@ -145,12 +145,9 @@ def fitted_uncertainty(
     dof = jacobian.shape[0] - jacobian.shape[1]
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
-    changed = replace(
-        uncertainty,
-        excess=uncertainty.excess * residual.mean / dof,
-        shared=shared,
-        residual_dof=_residual_dof(measured, dof, shared) if estimated else np.inf,
-    )
+    excess = uncertainty.excess * residual.mean / dof
+    residual_dof = _residual_dof(measured, dof, shared) if estimated else np.inf
+    changed = replace(uncertainty, excess=excess, shared=shared, residual_dof=residual_dof)
     lost = uncertainty.inflation / measured.shared_noise if measured.noise is None else 1.0
     return lost * residual.covariance, changed
 
@@ -260,10 +257,8 @@ def fit_weights(measured: Measured) -> Weights:
     _check_regular(measured, smallest[0] * smallest[1])
     # Standard deviations are s_o [m/N] of the outputs times s_i [1] of the inputs.
     deviations = by_port[:, :, 0], by_port[:, 0] / by_port[:, 0, :1]
-    roots = (
-        np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None]
-        for factor, size in zip(factors, deviations, strict=True)
-    )
+    pairs = zip(factors, deviations, strict=True)
+    roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in pairs)
     return ProductWeights(*roots)
 
 

@@ -269,10 +269,8 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     places = [estimated.index(name) for name in STIFFNESS]
     covariance = fit.correlation[np.ix_(places, places)] * np.outer(errors, errors)
     sources = () if fit.budget is None else fit.budget.sources
-    changes = {
-        source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS])
-        for source in sources
-    }
+    names = [source.source for source in sources]
+    changes = {name: slopes @ np.array([change_in(fit, name, key) for key in STIFFNESS]) for name in names}
     return displacement, slopes @ covariance @ slopes.T, changes
 
 
@@ -307,10 +305,8 @@ def condition_matrix(
     coefficient or condition, FitError where no test has a result.
     """
     chosen = _choose(settings, fits)
-    amounts = {
-        name: amounts_of(name, chosen, conditions)
-        for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
-    }
+    asked = dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
+    amounts = {name: amounts_of(name, chosen, conditions) for name in asked}
     axes, places = _axes(settings, amounts)
     names = _names(settings, chosen)
     groups: dict[tuple[int, ...], list[int]] = {}

@@ -528,11 +528,8 @@ class _Builder:
         return self.sources[stated.source]
 
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
-        """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
-        inputs = tuple(
-            self._source(entry.uncertainty.source.replace(": ", " "), entry.uncertainty, entry.value)
-            for entry in place.uncertainties
-        )
+        stated = ((entry.uncertainty, entry.value) for entry in place.uncertainties)
+        inputs = tuple(self._source(of.source.replace(": ", " "), of, value) for of, value in stated)
         scales = np.array([(self.unknowns[n].mean, self.unknowns[n].error) for n in inputs]).reshape(-1, 2)
         theory = Theory(place, self.system.rig.static_loads()[place.name], scales)
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
@@ -541,5 +538,4 @@ class _Builder:
 
 
 def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:
-    """A block (k, k) that acts while the rotor turns, (..., k, k)."""
     return np.asarray(block * (np.asarray(spin) != 0)[..., None, None])

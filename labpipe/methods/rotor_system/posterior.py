@@ -130,11 +130,8 @@ class SystemPosterior(Posterior[SystemModel]):
     def contradicted(self) -> list[tuple[str, float]]:
         """Unknowns with a declared prior that is more than 3 of its standard uncertainties off."""
         z = (self.values - self.model.means) / self.model.errors
-        return [
-            (unknown.name, float(off))
-            for unknown, off in zip(self.model.unknowns, z, strict=True)
-            if abs(off) > 3 and not unknown.group
-        ]
+        unknowns = zip(self.model.unknowns, z, strict=True)
+        return [(of.name, float(off)) for of, off in unknowns if abs(off) > 3 and not of.group]
 
     def gradient_error(self, gradient: FloatArray) -> FloatArray:
         """Standard errors (...,) [unit of the prediction] of predictions with *gradient* (..., n_unknown)."""

@@ -139,9 +139,9 @@ class _Reduced:
         static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
         self.basis = orthonormal(np.column_stack([vectors, static]), 1e-8)
         n_shape = self.basis.shape[1]
+        dofs = tuple(range(n_shape))
         terms = tuple(
-            replace(term, dofs=tuple(range(n_shape)), block=self._project(term.block, list(term.dofs)))
-            for term in model.terms
+            replace(term, dofs=dofs, block=self._project(term.block, list(term.dofs))) for term in model.terms
         )
         self.model = SystemModel(model.unknowns, terms, n_shape, 0)
 

@@ -274,10 +274,8 @@ def test_table(result: RotorSystemResult) -> Table:
 
 def small_error_table(result: RotorSystemResult) -> Table:
     """Sizes of the small errors that are everywhere."""
-    rows = tuple(
-        (error.name.replace("_", " "), number(error.declared, 3), number(error.found, 3))
-        for error in result.small_errors
-    )
+    small = ((error.name.replace("_", " "), error) for error in result.small_errors)
+    rows = tuple((name, number(error.declared, 3), number(error.found, 3)) for name, error in small)
     return Table(("small errors of", "declared", "found"), rows, "Standard deviations", (1, 2))
 
 
