@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -72,9 +73,8 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget |
         reported = {p.name: p.value for p in reported_parameters(estimate, model, changed.setup)}
         if missing := [name for name in names if name not in reported]:
             what = f"stated uncertainties reach to where there is no {missing[0]}"
-            raise FitError(
-                what, hint="a stiffness or mass about zero has no frequency: another model or band"
-            )
+            hint = "a stiffness or mass about zero has no frequency: another model or band"
+            raise FitError(what, hint=hint)
         return np.array([reported[name] for name in names])
 
     changes = _slopes(case, sources, values)
@@ -82,9 +82,8 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget |
     if not kept.size:
         return None
     dof = float(np.min(case.estimate.student_dof))
-    return uncertain.Budget(
-        names, full_errors(parameters), dof, tuple(sources[n][0] for n in kept), changes[kept]
-    )
+    kept_sources = tuple(sources[n][0] for n in kept)
+    return uncertain.Budget(names, full_errors(parameters), dof, kept_sources, changes[kept])
 
 
 def full_errors(parameters: Sequence[Parameter]) -> FloatArray:
@@ -100,10 +99,8 @@ def _slopes(
     case: Case, sources: Sequence[tuple[uncertain.Uncertainty, Change]], values: Callable[[Case], FloatArray]
 ) -> FloatArray:
     sizes = [SHARE * uncertainty.std_error for uncertainty, _ in sources]
-    ends = [
-        (values(change(case, size)), values(change(case, -size)))
-        for size, (_, change) in zip(sizes, sources, strict=True)
-    ]
+    pairs = zip(sizes, sources, strict=True)
+    ends = [(values(change(case, size)), values(change(case, -size))) for size, (_, change) in pairs]
     return np.array([(above - below) / (2 * SHARE) for above, below in ends])
 
 
@@ -247,9 +244,7 @@ def contribute(
         combined, dof = float(budget.combined[column]), float(budget.dof[column])
         factor = coverage_factor(coverage, dof)
         shares = budget.shares(parameter.name).items()
-        parts = tuple(
-            Contribution(source, combined * float(np.sqrt(share)), share) for source, share in shares
-        )
+        parts = tuple(Contribution(name, combined * float(np.sqrt(share)), share) for name, share in shares)
         expanded = replace(parameter, combined=combined, expanded=factor * combined, budget=parts)
         stated.append(replace(expanded, coverage_factor=factor))
     return tuple(stated)
@@ -261,81 +256,65 @@ Change = Callable[[Case, float], Case]
 
 def sources_of(setup: Setup, measured: Measured) -> list[tuple[uncertain.Uncertainty, Change]]:
     """Every source with what an error of it does; numbers of one source change together."""
-    changes: dict[str, list[tuple[uncertain.Uncertainty, Change]]] = {}
-    for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0)):
-        for number, port in enumerate(ports):
-            for calibration in port.uncertainties:
-                entry = (calibration.uncertainty, _change_of(calibration.effect, number, sign))
-                changes.setdefault(calibration.uncertainty.source, []).append(entry)
-    for matrix_error in measured.errors:
-        changes.setdefault(matrix_error.uncertainty.source, []).append(
-            (matrix_error.uncertainty, _change_by(matrix_error))
-        )
-    mass = mass_uncertainty(setup.settings)
-    if mass is not None:
-        changes.setdefault(mass.source, []).append((mass, _heavier))
+    entries: list[tuple[uncertain.Uncertainty, Change]] = [
+        (calibration.uncertainty, partial(_miscalibrate, calibration.effect, number, sign))
+        for ports, sign in ((setup.outputs, 1.0), (setup.inputs, -1.0))
+        for number, port in enumerate(ports)
+        for calibration in port.uncertainties
+    ]
+    entries += [(error.uncertainty, partial(_add_error, error)) for error in measured.errors]
+    if (mass := mass_uncertainty(setup.settings)) is not None:
+        entries.append((mass, _add_mass))
     for name, uncertainty in support_uncertainties(setup.settings.subtract):
-        changes.setdefault(uncertainty.source, []).append((uncertainty, _other_support(name)))
-    return [(entries[0][0], _together(entries)) for entries in changes.values()]
+        entries.append((uncertainty, partial(_change_support, name)))
+    by_source: dict[str, list[tuple[uncertain.Uncertainty, Change]]] = {}
+    for entry in entries:
+        by_source.setdefault(entry[0].source, []).append(entry)
+    return [(of_one[0][0], partial(_change_together, of_one)) for of_one in by_source.values()]
 
 
-def _together(entries: Sequence[tuple[uncertain.Uncertainty, Change]]) -> Change:
-    first = entries[0][0].std_error
-
-    def change(case: Case, error: float) -> Case:
-        for uncertainty, part in entries:
-            case = part(case, error * uncertainty.std_error / first)
-        return case
-
-    return change
+def _change_together(
+    entries: Sequence[tuple[uncertain.Uncertainty, Change]], case: Case, error: float
+) -> Case:
+    for uncertainty, change in entries:
+        case = change(case, error * uncertainty.std_error / entries[0][0].std_error)
+    return case
 
 
 def _with_matrix(case: Case, matrix: ComplexArray) -> Case:
     return replace(case, measured=replace(case.measured, matrix=matrix))
 
 
-def _change_of(effect: str, number: int, sign: float) -> Change:
+def _miscalibrate(effect: str, number: int, sign: float, case: Case, error: float) -> Case:
     """What the error of a channel does: X (1 - d), X e^{jwd}, X e^{jd}, or another direction. *sign* -1 for a
     force, which divides.
     """
     if effect == "direction":
-        return _change_of_direction(number, sign)
+        return _misalign(number, sign, case, error)
     slope, power = uncertain.COURSES[effect]
-
-    def change(case: Case, error: float) -> Case:
-        measured = case.measured
-        matrix = measured.plus_offset(measured.matrix).copy()
-        at = (slice(None), number) if sign > 0 else (..., number)
-        matrix[at] *= np.exp(sign * error * slope * measured.omega**power)[:, None]
-        offset = 0.0 if measured.offset is None else measured.offset[:, None, None]
-        return _with_matrix(case, matrix - offset)
-
-    return change
+    measured = case.measured
+    matrix = measured.plus_offset(measured.matrix).copy()
+    at = (slice(None), number) if sign > 0 else (..., number)
+    matrix[at] *= np.exp(sign * error * slope * measured.omega**power)[:, None]
+    offset = 0.0 if measured.offset is None else measured.offset[:, None, None]
+    return _with_matrix(case, matrix - offset)
 
 
-def _change_of_direction(number: int, sign: float) -> Change:
+def _misalign(number: int, sign: float, case: Case, error: float) -> Case:
     """Another direction of a force, of which the model knows; or of a sensor, which then reads the motion
     across it too. Without another one to tell that, the motion counts as alike in all directions.
     """
-
-    def change(case: Case, error: float) -> Case:
-        across = across_ports(case.measured.outputs) if sign > 0 else None
-        if across is None or not np.any(across[number]):
-            return replace(case, setup=_turn(case.setup, number, sign, error))
-        matrix = case.measured.matrix
-        return _with_matrix(case, matrix + error * turn(matrix, number, across, of_forces=False))
-
-    return change
+    across = across_ports(case.measured.outputs) if sign > 0 else None
+    if across is None or not np.any(across[number]):
+        return replace(case, setup=_turn(case.setup, number, sign, error))
+    matrix = case.measured.matrix
+    return _with_matrix(case, matrix + error * turn(matrix, number, across, of_forces=False))
 
 
-def _change_by(matrix_error: uncertain.MatrixError) -> Change:
+def _add_error(matrix_error: uncertain.MatrixError, case: Case, error: float) -> Case:
     """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
-
-    def change(case: Case, error: float) -> Case:
-        share = error / matrix_error.uncertainty.std_error
-        return _with_matrix(case, case.measured.matrix + share * matrix_error.change)
-
-    return change
+    share = error / matrix_error.uncertainty.std_error
+    return _with_matrix(case, case.measured.matrix + share * matrix_error.change)
 
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
@@ -352,7 +331,7 @@ def _with_settings(case: Case, **changed: Any) -> Case:
     return replace(case, setup=replace(case.setup, settings=settings))
 
 
-def _heavier(case: Case, error: float) -> Case:
+def _add_mass(case: Case, error: float) -> Case:
     mass = case.setup.settings.mass
     assert isinstance(mass, (int, float))
     return _with_settings(case, mass=mass + error)
@@ -367,15 +346,12 @@ def support_uncertainties(support: Support | None) -> Iterator[tuple[str, uncert
             yield name, uncertain.uncertainty_of(number, source, unit)
 
 
-def _other_support(name: str) -> Change:
-    def change(case: Case, error: float) -> Case:
-        support = case.setup.settings.subtract
-        assert support is not None
-        number: uncertain.Uncertain = getattr(support, name)
-        moved = replace(support, **{name: replace(number, value=number.value + error)})
-        return _with_settings(case, subtract=moved)
-
-    return change
+def _change_support(name: str, case: Case, error: float) -> Case:
+    support = case.setup.settings.subtract
+    assert support is not None
+    number: uncertain.Uncertain = getattr(support, name)
+    moved = replace(support, **{name: replace(number, value=number.value + error)})
+    return _with_settings(case, subtract=moved)
 
 
 def _step_of(case: Case) -> Step:
@@ -414,21 +390,20 @@ def _linear(model: BandModel) -> DynamicModel:
 
 def likelihood_step(case: Case) -> Step:
     """p - (J^T J)^-1 J^T (r(q + dq) - r(q)), the weighted residual r and its Jacobian J at the estimate."""
-    weights, jacobian, residual = _linearise(case)
+    problem, jacobian, residual = _linearise(case)
     _, inverse = solve_scaled(jacobian, residual)
 
     def step(model: BandModel, changed: Measured) -> FloatArray:
-        moved = OutputError(changed, expected(changed, model), weights).residual(case.estimate.values)
+        moved_problem = OutputError(changed, expected(changed, model), problem.whitener)
+        moved = moved_problem.residual(case.estimate.values)
         return np.asarray(case.estimate.values - inverse @ (jacobian.T @ (moved - residual)))
 
     return step
 
 
-def _linearise(case: Case) -> tuple[Weights, FloatArray, FloatArray]:
-    measured, values = case.measured, case.estimate.values
-    weights = fit_weights(measured)
-    problem = OutputError(measured, expected(measured, case.model), weights)
-    return weights, problem.jacobian(values), problem.residual(values)
+def _linearise(case: Case) -> tuple[OutputError[Any], FloatArray, FloatArray]:
+    problem, values = OutputError.of(case.measured, case.model), case.estimate.values
+    return problem, problem.jacobian(values), problem.residual(values)
 
 
 # Scatter between repeats of a test as sources of its uncertainty: drift between days, remounting.

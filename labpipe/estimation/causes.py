@@ -50,8 +50,8 @@ def stated_findings(
         "distance. One of these numbers is wrong, or its uncertainty is larger than stated: weigh or "
         "calibrate again"
     )
-    contradicted = ((code, f"the data contradict {'; '.join(named)}. {what}") for code, named in text.items())
-    return [Finding(code, message) for code, message in contradicted if text[code]]
+    stated = {code: "; ".join(named) for code, named in text.items() if named}
+    return [Finding(code, f"the data contradict {named}. {what}") for code, named in stated.items()]
 
 
 def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: Mapping[str, float]) -> str:
@@ -64,12 +64,16 @@ def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: 
     elif relative:
         wanted = f"a change by {change_text(100 * asked, 100 * error, '%')}"
     else:
-        shown = shown_unit(unit, asked, error)
-        wanted = f"a change by {change_text(difference_in(asked, shown), difference_in(error, shown), shown)}"
+        wanted = f"a change by {_change(asked, error, unit)}"
     return (
         f"{uncertainty.source} (stated +- {stated}): they ask for {wanted}, {pulls.sizes[number]:.2g} "
         "standard uncertainties of both from what was stated"
     )
+
+
+def _change(amount: float, error: float, si_unit: str) -> str:
+    unit = shown_unit(si_unit, amount, error)
+    return change_text(difference_in(amount, unit), difference_in(error, unit), unit)
 
 
 CONTRADICTED_P = 0.01
@@ -140,7 +144,7 @@ def _free_fit(
     if measured.n_equation <= start.size:
         return None
     try:
-        problem = OutputError(measured, expected(measured, model), fit_weights(measured))
+        problem = OutputError.of(measured, model)
         minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
         if not minimum.converged:
             return None
@@ -453,12 +457,11 @@ def drift_findings(
 
 
 def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list[_Shape]:
-    shapes: list[_Shape] = []
-    for unit, name in KINDS.items():
-        chosen = [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
-        if chosen:
-            shapes.append((name, values[chosen] @ jacobian[chosen]))
-    return shapes
+    places = {
+        name: [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
+        for unit, name in KINDS.items()
+    }
+    return [(name, values[chosen] @ jacobian[chosen]) for name, chosen in places.items() if chosen]
 
 
 def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
@@ -500,6 +503,5 @@ def _of_parameters(
     errors = np.sqrt(chance.variance * np.maximum(np.diag(inverse), np.finfo(float).tiny))
     n = int(np.argmax(np.abs(changes) / errors))
     share = f" ({100 * changes[n] / values[n]:+.2g} %)" if values[n] else ""
-    unit = shown_unit(model.units[n], changes[n], errors[n])
-    by = change_text(difference_in(changes[n], unit), difference_in(errors[n], unit), unit)
+    by = _change(changes[n], errors[n], model.units[n])
     return f"its parameters changed, most of all {model.names[n]} by {by}{share}"

@@ -84,14 +84,12 @@ class CoefficientError:
         *reported*: all parameters of a fit from values (n,) and covariance (n, n) [parameter units].
         """
         wide, noise = (
-            {parameter.name: parameter for parameter in reported(self.mean, covariance)}
+            {p.name: p for p in reported(self.mean, covariance)}
             for covariance in (self.covariance, self.noise)
         )
         return tuple(
-            self._statement(parameter, wide[parameter.name], noise[parameter.name].std_error)
-            if parameter.name in wide
-            else parameter
-            for parameter in parameters
+            self._statement(p, wide[p.name], noise[p.name].std_error) if p.name in wide else p
+            for p in parameters
         )
 
     def _statement(self, parameter: Parameter, wide: Parameter, noise: float | None) -> Parameter:
@@ -203,9 +201,8 @@ class _Scene:
         scaled = jacobian / self.scale
         self.errors = np.sqrt(np.diag(np.linalg.inv(2 * _real_product(scaled, scaled)))) / self.scale
         kinds = [name[:1] for name in self.misfit.names]
-        largest = {
-            kind: max(abs(v) for k, v in zip(kinds, self.values, strict=True) if k == kind) for kind in kinds
-        }
+        sizes = list(zip(kinds, np.abs(self.values), strict=True))
+        largest = {kind: max(size for k, size in sizes if k == kind) for kind in kinds}
         self.reach = PRIOR * np.array([largest[kind] for kind in kinds]) + 3 * self.errors
         self.courses = list(self._courses())
 
@@ -378,9 +375,8 @@ class _Course:
         pairs = (patterns.conj().swapaxes(1, 2) @ patterns).reshape(n_line, -1)
         products = (functions[:, :, None] * functions[:, None, :]).reshape(n_line, -1)
         whole = (pairs.T @ products).reshape(n_pattern, n_pattern, n, n).transpose(0, 2, 1, 3)
-        values, vectors = linalg.eigh(
-            whole.reshape(n_pattern * n, -1), driver="evd", check_finite=False, overwrite_a=True
-        )
+        square = whole.reshape(n_pattern * n, -1)
+        values, vectors = linalg.eigh(square, driver="evd", check_finite=False, overwrite_a=True)
         return cls(kind, prior, patterns, functions, np.maximum(values, 0.0), vectors)
 
     def turned(self, columns: ComplexArray) -> ComplexArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -184,9 +185,8 @@ class RationalFit:
         weighted = np.einsum("lef,lf->le", self._precision, right_side) * weight.conj()[:, None]
         basis = self.basis[:, :n].conj()
         along = np.einsum("le,le->l", elements.conj(), weighted)
-        return normal, np.concatenate(
-            [-(basis.T @ along).real, (basis[:, : n - 1].T @ weighted).real.T.ravel()]
-        )
+        numerator = (basis[:, : n - 1].T @ weighted).real.T.ravel()
+        return normal, np.concatenate([-(basis.T @ along).real, numerator])
 
     def _sums(self, rows: int, columns: int, values: ComplexArray) -> FloatArray:
         """Real part of the sum over lines of conj(phi_a) phi_b *values* (n_line, n), for a < *rows*, b <
@@ -210,6 +210,10 @@ class _Variant:
     name: str
     settings: FitSettings
     inside: tuple[str, ...] = ()
+
+
+# Settings that make another model, where the first says so.
+_Change = tuple[object, dict[str, Any]]
 
 
 def candidates(
@@ -244,9 +248,7 @@ def candidates(
     if whole:
         results.update(_orders(measured, len(setup.outputs)))
     fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
-    inside = {
-        variant.name: [fitted[name] for name in variant.inside if name in fitted] for variant in variants
-    }
+    inside = {of.name: [fitted[name] for name in of.inside if name in fitted] for of in variants}
     tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
     left_out = "; ".join(name for name in results if name not in fitted)
     what = f"Compared models left out, their descents found no minimum: {left_out}."
@@ -300,38 +302,34 @@ def _damping_variants(settings: FitSettings) -> list[_Variant]:
 
 
 def _richer(settings: FitSettings) -> list[_Variant]:
-    kind, changes = settings.kind, list[dict[str, Any]]()
-    if kind.richer:
-        changes.append({"model": kind.richer})
-    if settings.symmetric:
-        changes.append({"symmetric": False})
-    if settings.damping != VISCOUS:
-        changes.append({"damping": VISCOUS})
-    if kind.frees_mass and settings.mass != ESTIMATE:
-        changes.append({"mass": ESTIMATE, "scale_mass": False})
+    kind = settings.kind
+    changes: list[_Change] = [
+        (kind.richer, {"model": kind.richer}),
+        (settings.symmetric, {"symmetric": False}),
+        (settings.damping != VISCOUS, {"damping": VISCOUS}),
+        (kind.frees_mass and settings.mass != ESTIMATE, {"mass": ESTIMATE, "scale_mass": False}),
+    ]
     return [_Variant(_description(other), other) for other in _changes(settings, changes)]
 
 
 def _simpler(settings: FitSettings) -> list[_Variant]:
     this = f"{THIS}: {_description(settings)}"
-    kind, changes = settings.kind, list[dict[str, Any]]()
-    if kind.simpler:
-        changes.append({"model": kind.simpler})
-    if "symmetric" in kind.keys and not settings.symmetric:
-        changes.append({"symmetric": True})
-    if "damping" in kind.keys and settings.damping == VISCOUS:
-        changes.append({"damping": "proportional"})
-    if "lumped_mass" in kind.keys and settings.mass == ESTIMATE and not settings.lumped_mass:
-        changes.append({"lumped_mass": True})
+    kind = settings.kind
+    full_mass = settings.mass == ESTIMATE and not settings.lumped_mass
+    changes: list[_Change] = [
+        (kind.simpler, {"model": kind.simpler}),
+        ("symmetric" in kind.keys and not settings.symmetric, {"symmetric": True}),
+        ("damping" in kind.keys and settings.damping == VISCOUS, {"damping": "proportional"}),
+        ("lumped_mass" in kind.keys and full_mass, {"lumped_mass": True}),
+    ]
     return [_Variant(_description(other), other, (this,)) for other in _changes(settings, changes)]
 
 
-def _changes(settings: FitSettings, changes: Sequence[dict[str, Any]]) -> Iterator[FitSettings]:
-    for change in changes:
-        try:
-            yield replace(settings, **change)
-        except ConfigError:
-            continue
+def _changes(settings: FitSettings, changes: Sequence[_Change]) -> Iterator[FitSettings]:
+    for applies, change in changes:
+        if applies:
+            with contextlib.suppress(ConfigError):
+                yield replace(settings, **change)
 
 
 def _description(settings: FitSettings) -> str:

@@ -13,7 +13,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import coverage_factor
 from labpipe.estimation import statistics
 from labpipe.estimation.damping import FactorModel
-from labpipe.estimation.linear_models import PER_MASS
+from labpipe.estimation.linear_models import stiffness_and_damping
 from labpipe.estimation.measured import select_ports
 from labpipe.estimation.model import DynamicModel, Matrices, Setup
 from labpipe.estimation.settings import VISCOUS, FitSettings, Support
@@ -240,9 +240,7 @@ def _propagated_all(
     quantities_at_steps = quantities(np.vstack(places))
     if not quantities_at_steps or np.any(steps == 0):
         centre = quantities(total.values[None])
-        return [
-            Parameter(name, float(value[0]), unit, derived=True) for name, (unit, value) in centre.items()
-        ]
+        return [Parameter(name, float(of[0]), unit, derived=True) for name, (unit, of) in centre.items()]
     n = steps.size
     parameters = []
     for name, (unit, values) in quantities_at_steps.items():
@@ -259,9 +257,7 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     k and m of a transfer FRF, or of a sensor of the wrong sign, are negative together: the resonance is the
     same. None of it where k and m have different signs or are eliminated, and no f_n of given numbers alone.
     """
-    stiffness, damping = (
-        next((n for n in (name, PER_MASS[name][0]) if n in total.names), "") for name in "kc"
-    )
+    stiffness, damping = stiffness_and_damping(total.names)
     if not stiffness:
         return []
     given: Any = setup.settings.mass if stiffness == "k" else 1.0
@@ -358,13 +354,11 @@ def widened_parameters(
     """Intervals and significance as much wider as standard errors of *wide* are than those of *plain*; none
     narrower, as where errors of two parameters compensate in a derived one.
     """
-    factors = [
-        (after.std_error or 0.0) / (before.std_error or np.inf)
-        for before, after in zip(plain, wide, strict=True)
-    ]
+    pairs = zip(plain, wide, strict=True)
+    factors = [(after.std_error or 0.0) / (before.std_error or np.inf) for before, after in pairs]
     return tuple(
-        statistics.widen(parameter, max(factor, 1.0)) if factor > 0 else parameter
-        for parameter, factor in zip(parameters, factors, strict=True)
+        statistics.widen(p, max(factor, 1.0)) if factor > 0 else p
+        for p, factor in zip(parameters, factors, strict=True)
     )
 
 
@@ -427,7 +421,9 @@ def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexA
         if not middle.size or frequency.size >= MOST:
             break
         at_middle = model(middle)
-        bend = _bend(values, at_middle)
+        # Largest distance of any element from the straight line across each step, over its size.
+        size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
+        bend = np.max(np.abs(at_middle - (values[:-1] + values[1:]) / 2) / size, axis=(1, 2))
         # The most bent steps first, as many as there is room for.
         ranked = np.argsort(-bend, kind="stable")[: MOST - frequency.size]
         chosen = np.sort(ranked[bend[ranked] > FLATNESS])
@@ -444,13 +440,6 @@ def between(lines: FloatArray) -> FloatArray:
     parts = max(1, min(max(PARTS, -(-(FEWEST - 1) // steps)), (MOST - 1) // steps))
     places = np.arange((lines.size - 1) * parts + 1) / parts
     return np.interp(places, np.arange(lines.size), lines)
-
-
-def _bend(values: ComplexArray, at_middle: ComplexArray) -> FloatArray:
-    """(n - 1,) largest distance of any element from the straight line across each step, over its size."""
-    across = np.abs(at_middle - (values[:-1] + values[1:]) / 2)
-    size = np.maximum(np.abs(at_middle), np.finfo(float).tiny)
-    return np.asarray((across / size).max(axis=(1, 2)))
 
 
 # What no residual can show, and no number states, is listed by name: type B of the GUM.
@@ -472,9 +461,7 @@ def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) 
 
 
 def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> Iterator[Unstated]:
-    silent = [
-        port.label for port in ports if all(calibration.effect != GAIN for calibration in port.uncertainties)
-    ]
+    silent = [port.label for port in ports if all(entry.effect != GAIN for entry in port.uncertainties)]
     if not silent:
         return
     what = "gain of " + ", ".join(dict.fromkeys(silent))

@@ -62,8 +62,7 @@ OF_ANOTHER_CAUSE = ("mass", "stated-value", "unphysical")
 
 def with_feedback(fit: Fit, measured: Sequence[Finding]) -> Fit:
     """The fit with the warning `feedback` of the FRF it is of, which takes the place of wrong causes."""
-    loops = [finding for finding in measured if finding.code == "feedback" and finding.level == WARNING]
-    if not loops:
+    if not any(finding.code == "feedback" and finding.level == WARNING for finding in measured):
         return fit
     others = [finding for finding in fit.findings if finding.code not in OF_ANOTHER_CAUSE]
     biased = Finding(
@@ -86,7 +85,7 @@ def with_cautions(fit: Fit, measured: Sequence[Finding]) -> Fit:
     """
     fit = with_feedback(fit, measured)
     lost = [finding for finding in measured if finding.code in LOST_SAMPLES and finding not in fit.findings]
-    fit = replace(fit, findings=(*fit.findings, *lost)) if lost else fit
+    fit = replace(fit, findings=(*fit.findings, *lost))
     weak = is_of_closed_loop(measured) and any(finding.code == "low-snr" for finding in measured)
     if not weak or not any(finding.code == "model-mismatch" for finding in fit.findings):
         return fit
@@ -204,9 +203,8 @@ def _growth(
 ) -> float | None:
     if estimate.amplification is None:
         return None
-    largest = {
-        unit: max(abs(v) for v, u in zip(estimate.values, units, strict=True) if u == unit) for unit in units
-    }
+    sizes = list(zip(units, np.abs(estimate.values), strict=True))
+    largest = {unit: max(size for u, size in sizes if u == unit) for unit in units}
     return max(
         float(amplification / largest[unit]) if largest[unit] > 0 else float("inf")
         for name, unit, amplification in zip(names, units, estimate.amplification, strict=True)

@@ -215,9 +215,8 @@ def _linearised(
     columns = np.ascontiguousarray((j / scale).T)
     turned = columns.conj()
     products = (turned[:, None] * columns).real.reshape(-1, r.size)
-    f = 2 * (of.damped @ products.T).reshape(-1, scale.size, scale.size) + prior * np.outer(
-        1 / scale, 1 / scale
-    )
+    of_prior = prior * np.outer(1 / scale, 1 / scale)
+    f = 2 * (of.damped @ products.T).reshape(-1, scale.size, scale.size) + of_prior
     g = 2 * (of.damped @ (turned * r).real.T) + (prior @ away) / scale
     return scale, f, g, -of.volume - of.damped @ np.abs(r) ** 2 - 0.5 * away @ prior @ away
 
@@ -257,10 +256,8 @@ class Mixture:
         """
         centre, low, high = self.interval(row)
         by_noise = NORMAL * float(np.sqrt(row @ self.noise @ row))
-        below, above = (
-            float(np.sqrt(d**2 + (CALIBRATION**2 - 1) * max(d**2 - by_noise**2, 0.0)))
-            for d in (centre - low, high - centre)
-        )
+        sides, growth = (centre - low, high - centre), CALIBRATION**2 - 1
+        below, above = (float(np.sqrt(d**2 + growth * max(d**2 - by_noise**2, 0.0))) for d in sides)
         return centre, centre - below, centre + above
 
     @property

@@ -38,7 +38,7 @@ def bootstrap(
     *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is
     reproducible. FitError for an unknown noise, too few repeats, or failed refits.
     """
-    _check("bootstrap", repeats, f"at least {FEWEST_REPEATS}, 200 is usual", measured, FEWEST_REPEATS)
+    _check("bootstrap", repeats, FEWEST_REPEATS, 200, measured)
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     refits: list[dict[str, float]] = []
     for _ in range(repeats):
@@ -49,16 +49,14 @@ def bootstrap(
         f"Standard errors and intervals by noise alone come from {len(refits)} refits on noise drawn from "
         "the FRF's covariance (bootstrap)."
     )
-    scattered = (
-        with_scatter(parameter, [values[parameter.name] for values in refits if parameter.name in values])
-        for parameter in parameters
-    )
+    scattered = (with_scatter(p, [of[p.name] for of in refits if p.name in of]) for p in parameters)
     return tuple(scattered), note
 
 
-def _check(key: str, n: int, usual: str, measured: Measured, fewest: int) -> None:
+def _check(key: str, n: int, fewest: int, usual: int, measured: Measured) -> None:
     if n < fewest:
-        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=usual)
+        hint = f"at least {fewest}, {usual} is usual"
+        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=hint)
     if not has_noise(measured):
         what = f"{key} needs the noise of the FRF, which is not known"
         raise FitError(what, hint=f"leave `{key}` out")
@@ -75,15 +73,14 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
-    values, vectors = np.linalg.eigh(measured.covariance)
     if measured.noise is not None:
         noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n))[:, :, 0]
-        return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
-    # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
-    white = rng.standard_normal((2, values.shape[0], n)) * np.sqrt(
-        measured.shared_noise * np.maximum(values, 0.0) / 2
-    )
-    noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
+    else:
+        values, vectors = np.linalg.eigh(measured.covariance)
+        # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.
+        size = np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
+        white = rng.standard_normal((2, *size.shape)) * size
+        noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
     return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
 
 
@@ -95,9 +92,8 @@ def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
     error = float(np.std(values, ddof=1))
     t_ratio = None if parameter.t_ratio is None else parameter.value / error
     significant = None if parameter.significant is None else bool(low > 0 or high < 0)
-    return replace(
-        parameter, std_error=error, ci95=(float(low), float(high)), t_ratio=t_ratio, significant=significant
-    )
+    ends = float(low), float(high)
+    return replace(parameter, std_error=error, ci95=ends, t_ratio=t_ratio, significant=significant)
 
 
 FEWEST_DRAWS = 200
@@ -129,7 +125,7 @@ def propagate(
     The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
     Equation (unc-first-order).
     """
-    _check("monte_carlo", draws, f"at least {FEWEST_DRAWS}, 2000 is usual", case.measured, FEWEST_DRAWS)
+    _check("monte_carlo", draws, FEWEST_DRAWS, 2000, case.measured)
     rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     # A number that the data contradict is as uncertain as in the budget.
     counted = {source.source: source for source in budget.sources}
@@ -200,9 +196,8 @@ def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
     """The parameters whose scatter is not what first order says, beyond three standard deviations of it."""
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
-    ratio = np.divide(
-        budget.drawn[:, 0], budget.combined, out=np.ones_like(budget.combined), where=budget.combined > 0
-    )
+    drawn, stated = budget.drawn[:, 0], budget.combined
+    ratio = np.divide(drawn, stated, out=np.ones_like(stated), where=stated > 0)
     far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
     if not np.any(far):
         return ()

@@ -142,11 +142,8 @@ def fit_linear(
             what = f"band {band[0]:g}-{band[1]:g} Hz: {error.what}"
             raise FitError(what, error.where, error.hint) from None
         drift = causes.drift_findings(measured, fit.model, fit.values, len(bands))
-        quality = (
-            *diagnostics.quality_findings(response, rows, columns, lines),
-            *diagnostics.covariance_findings(response),
-            *drift,
-        )
+        of_noise = diagnostics.covariance_findings(response)
+        quality = (*diagnostics.quality_findings(response, rows, columns, lines), *of_noise, *drift)
         # Sliding bands are drawn as coefficients over frequency, what is only counted not at all.
         curve = _curve(view, measured, fit, dense=judging and len(bands) == 1)
         fits.append(replace(fit.fit, findings=(*fit.fit.findings, *quality), curve=curve))
@@ -346,9 +343,8 @@ def _parameter_findings(
     others = diagnostics.parameter_findings(parameters, driving=driving, held=setup.closed_loop)
     narrow: list[Finding] = []
     if measured.omega.size > 1 and not leaking and not setup.closed_loop:
-        narrow = diagnostics.narrow_findings(
-            parameters, float(np.median(np.diff(measured.omega))) / (2 * np.pi)
-        )
+        spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
+        narrow = diagnostics.narrow_findings(parameters, spacing)
     kept = (finding for finding in others if not (of_mode and finding.code == "unphysical"))
     return [*kept, *of_mode, *narrow]
 
@@ -360,22 +356,18 @@ def _with_honest_intervals(
     model: derived.BandModel,
     setup: Setup,
 ) -> tuple[Parameter, ...]:
-    if isinstance(judgement.model_error, ModelError):
-        return judgement.model_error.stated(parameters)
-    if judgement.model_error is not None:
+    def reported(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
+        changed = replace(estimate, values=values, covariance=covariance)
+        return derived.reported_parameters(changed, model, setup)
 
-        def reported(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
-            return derived.reported_parameters(
-                replace(estimate, values=values, covariance=covariance), model, setup
-            )
-
-        return judgement.model_error.stated(parameters, reported)
+    error = judgement.model_error
+    if isinstance(error, ModelError):
+        return error.stated(parameters)
+    if error is not None:
+        return error.stated(parameters, reported)
     if judgement.covariance is None:
         return parameters
-    pair = [
-        derived.reported_parameters(replace(estimate, covariance=c), model, setup)
-        for c in (estimate.covariance, judgement.covariance)
-    ]
+    pair = (reported(estimate.values, c) for c in (estimate.covariance, judgement.covariance))
     return derived.widened_parameters(parameters, *pair)
 
 
@@ -442,9 +434,8 @@ def _contradict(
     settings, pulls = case.setup.settings, assessed.pulls
     before, after = case.estimate.gof.chi2_reduced, assessed.reduced
     assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
-    unexplained = assessed.p_value < diagnostics.MISMATCH_P and after - 1 > (1 - causes.EXPLAINED) * (
-        before - 1
-    )
+    most = (1 - causes.EXPLAINED) * (before - 1)
+    unexplained = assessed.p_value < diagnostics.MISMATCH_P and after - 1 > most
     if settings.sliding is not None or unexplained:
         return (), {}
     mass = mass_uncertainty(settings)

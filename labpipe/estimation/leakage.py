@@ -78,11 +78,9 @@ class SharedNoise:
     @cached_property
     def _factors(self) -> ComplexArray:
         """Gains by neighbour, (n_neighbour, n_line, n_element or 1)."""
-        return (
-            np.ones((1, self.numbers.size, 1), np.complex128)
-            if self.gains is None
-            else self.gains.swapaxes(0, 1)
-        )
+        if self.gains is None:
+            return np.ones((1, self.numbers.size, 1), np.complex128)
+        return self.gains.swapaxes(0, 1)
 
     @cached_property
     def _places(self) -> IntArray:
@@ -134,9 +132,8 @@ class LineBlocks:
         product = np.zeros_like(columns)
         for distance, pair in enumerate(self.pairs):
             # A line occurs once among the first ones, and once among the second ones of its distance.
-            product[pair.first] += (
-                pair.correlation @ columns[pair.second] + pair.turned @ columns[pair.second].conj()
-            )
+            of_second = columns[pair.second]
+            product[pair.first] += pair.correlation @ of_second + pair.turned @ of_second.conj()
             if distance:
                 product[pair.second] += pair.correlation.conj().swapaxes(1, 2) @ columns[pair.first]
                 product[pair.second] += pair.turned.swapaxes(1, 2) @ columns[pair.first].conj()
@@ -150,11 +147,8 @@ class LineBlocks:
     @property
     def power(self) -> float:
         """tr(R^2) + tr(T T*), averaged over the elements [1]."""
-        squares = [
-            float(np.sum(np.abs(pair.correlation) ** 2) + np.sum(np.abs(pair.turned) ** 2))
-            for pair in self.pairs
-        ]
-        return (squares[0] + 2 * sum(squares[1:])) / self.pairs[0].correlation.shape[1]
+        squares = [np.sum(np.abs(p.correlation) ** 2) + np.sum(np.abs(p.turned) ** 2) for p in self.pairs]
+        return float(squares[0] + 2 * sum(squares[1:])) / self.pairs[0].correlation.shape[1]
 
 
 @dataclass(frozen=True)
@@ -182,13 +176,9 @@ def shared_residual(
     product = noise.times(jacobian).reshape(columns.shape)
     middle = (columns.conj().T @ product).real
     square = (product.conj().T @ product).real
-    mean = 2 * noise.trace * jacobian.shape[1] - float(np.sum(inverse * middle))
-    half = inverse @ middle
-    spread = (
-        2 * noise.power * jacobian.shape[1]
-        - 2 * float(np.sum(inverse * square))
-        + float(np.trace(half @ half))
-    )
+    n_element, half = jacobian.shape[1], inverse @ middle
+    mean = 2 * noise.trace * n_element - float(np.sum(inverse * middle))
+    spread = 2 * (noise.power * n_element - float(np.sum(inverse * square))) + float(np.trace(half @ half))
     return SharedResidual(half @ inverse, mean, mean**2 / spread)
 
 
@@ -227,9 +217,8 @@ class Leakage:
         receptance.
         """
         omega, place = self.grid
-        return (
-            omega[place] / (2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length)
-        ) ** self.derivatives
+        centre = 2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length
+        return (omega[place] / centre) ** self.derivatives
 
     def pairs(self, distance: int) -> tuple[IntArray, IntArray]:
         """The lines (n_pair,) that have a line *distance* further on, and those (n_pair,)."""
@@ -247,15 +236,13 @@ class Leakage:
         n_input) [unit of values].
         """
         # Cases last, as the derivatives of a model lie in memory: one pass over all of them.
-        every = np.ascontiguousarray(
-            np.moveaxis(values.reshape(-1, *values.shape[-3:]), 0, -1), np.complex128
-        )
+        cases = values.reshape(-1, *values.shape[-3:])
+        every = np.ascontiguousarray(np.moveaxis(cases, 0, -1), np.complex128)
         # Real weights on pairs of real and imaginary part.
         means = (self._weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
         cases_last = means.reshape(self.numbers.size, *every.shape[1:])
-        return np.moveaxis(cases_last, -1, 0).reshape(
-            *values.shape[:-3], self.numbers.size, *values.shape[-2:]
-        )
+        shape = *values.shape[:-3], self.numbers.size, *values.shape[-2:]
+        return np.moveaxis(cases_last, -1, 0).reshape(shape)
 
     @cached_property
     def _weights(self) -> Any:
@@ -332,16 +319,14 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
     white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
     of_noise = white @ np.linalg.cholesky(noise)
     pairs = []
-    for distance in range(leakage.correlation.size + 2):
+    for distance, shared in enumerate([1.0, *leakage.correlation.tolist(), 0.0]):
         first, second = leakage.pairs(distance)
         covariance, turned = _scatter(leakage, deviation, power, distance)
-        shared = float(([1.0, *leakage.correlation, 0.0])[distance])
         correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (
             of_noise[first] @ hermitian(of_noise[second])
         )
-        pairs.append(
-            LinePairs(first, second, correlated, white[first] @ turned @ white[second].swapaxes(1, 2))
-        )
+        other = white[first] @ turned @ white[second].swapaxes(1, 2)
+        pairs.append(LinePairs(first, second, correlated, other))
     return LineBlocks(measured.omega.size, tuple(pairs))
 
 
@@ -404,19 +389,22 @@ def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexAr
     beside = covariance - apparent
     noise = neighbourhood_mean(covariance, every, HALF_WIDTH)
     for _ in range(ROUNDS):
-        size = np.sqrt(np.einsum("lii->li", noise + apparent).real)
-        weight = 1 / (size[:, :, None] * size[:, None, :]) ** 2
-        noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH) / neighbourhood_mean(
-            weight, every, HALF_WIDTH
-        )
+        weight = 1 / _sizes(noise + apparent) ** 2
+        noise = neighbourhood_mean(weight * beside, every, HALF_WIDTH)
+        noise /= neighbourhood_mean(weight, every, HALF_WIDTH)
         noise = _positive(noise, covariance + apparent)
     return noise
 
 
 def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
     """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole*."""
-    size = np.sqrt(np.einsum("lii->li", whole).real)
-    outer = size[:, :, None] * size[:, None, :]
-    values, vectors = np.linalg.eigh(without_rounding(noise / outer))
+    sizes = _sizes(whole)
+    values, vectors = np.linalg.eigh(without_rounding(noise / sizes))
     raised = np.maximum(values, SMALLEST_NOISE)
-    return (vectors * raised[:, None, :]) @ hermitian(vectors) * outer
+    return (vectors * raised[:, None, :]) @ hermitian(vectors) * sizes
+
+
+def _sizes(covariance: ComplexArray) -> FloatArray:
+    """Products s_a s_b of the standard deviations, (n_line, n, n)."""
+    size = np.sqrt(np.einsum("lii->li", covariance).real)
+    return np.asarray(size[:, :, None] * size[:, None, :])

@@ -62,23 +62,20 @@ def _of_group(tests: list[_Test]) -> list[tuple[int, Finding]]:
 def _difference(low: _Test, high: _Test) -> str:
     (_, low_text, low_fit), (_, high_text, high_fit) = low, high
     before, after = _estimates(low_fit), _estimates(high_fit)
-    if not before or [parameter.name for parameter in before] != [parameter.name for parameter in after]:
+    if not before or [p.name for p in before] != [p.name for p in after]:
         return ""
     change = np.array([late.value - early.value for early, late in zip(before, after, strict=True)])
     information = np.linalg.pinv(_covariance(low_fit, before) + _covariance(high_fit, after), hermitian=True)
     together = chi2_tail(float(change @ information @ change), change.size)
-    shapes = {
-        kind: np.array([p.value if p.unit == unit else 0.0 for p in before]) for unit, kind in KINDS.items()
-    }
+    by_unit = [(kind, [p.value if p.unit == unit else 0.0 for p in before]) for unit, kind in KINDS.items()]
+    shapes = {kind: np.array(values) for kind, values in by_unit}
     amounts = {kind: _amount(change, information, shape) for kind, shape in shapes.items() if np.any(shape)}
     p_values = {kind: chi2_tail((amount / error) ** 2, 1) for kind, (amount, error) in amounts.items()}
     p_value = min(1.0, min([together, *p_values.values()]) * (1 + len(p_values)))
     if p_value >= AMPLITUDE_P:
         return ""
-    listed = " and ".join(
-        f"{kind} by {change_text(100 * amount, 100 * error, '%')}"
-        for kind, (amount, error) in amounts.items()
-    )
+    changes = ((kind, change_text(100 * by, 100 * error, "%")) for kind, (by, error) in amounts.items())
+    listed = " and ".join(f"{kind} by {text}" for kind, text in changes)
     return (
         f"between {low_text} (test {low_fit.test}) and {high_text} (this test) {listed or 'the parameters'} "
         f"changed on the whole (p = {p_value:.2g}): the rig is not linear, and the coefficients hold for "
@@ -87,14 +84,13 @@ def _difference(low: _Test, high: _Test) -> str:
 
 
 def _estimates(fit: Fit) -> list[Parameter]:
-    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
-    return estimated if all(parameter.std_error for parameter in estimated) else []
+    estimated = [p for p in fit.parameters if not p.derived]
+    return estimated if all(p.std_error for p in estimated) else []
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
     """Covariance (n, n) of the estimates with model error; given numbers are the same at both levels."""
-    random = [random_part(fit, parameter) or parameter.full_error or 0.0 for parameter in parameters]
-    errors = np.array(random)
+    errors = np.array([random_part(fit, p) or p.full_error or 0.0 for p in parameters])
     by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:
         if detail.given_in_noise:

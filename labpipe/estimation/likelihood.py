@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import MAX_ITERATIONS, Linearisation, Minimum, minimise, triangle_of_products
-from labpipe.estimation.leakage import expected, leaking_noise, shared_residual
+from labpipe.estimation.leakage import leaking_noise, shared_residual
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel, ResponseModel, compliance
 from labpipe.estimation.output_error import NormalEquations, OutputError, has_line_products, normal_equations
@@ -26,7 +26,6 @@ from labpipe.estimation.transfer_mode import TransferMode, peak_starts, transfer
 from labpipe.estimation.weights import (
     WeightUncertainty,
     complex_rows,
-    fit_weights,
     fitted_uncertainty,
     has_noise,
     weight_uncertainty,
@@ -58,8 +57,7 @@ def starts(
     """
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
-    by_products = _by_line_products(problem, None) if has_line_products(linear, problem.weights) else None
-    values = by_products
+    values = _by_line_products(problem, None)
     if values is None:
         values = equation_solution(regression(problem.measured, linear, "none"), linear)[0]
     attempts = [_start(problem, "least squares", model.from_linear(values))]
@@ -84,21 +82,22 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
 
 
 def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
-    measured, linear = problem.measured, problem.model.linear
-    if has_line_products(linear, problem.weights):
-        values = _by_line_products(problem, last)
-        if values is not None:
-            return values
-    h, omega = measured.matrix, measured.omega
+    values = _by_line_products(problem, last)
+    if values is not None:
+        return values
+    linear, h, omega = problem.model.linear, problem.measured.matrix, problem.measured.omega
     terms = linear.filtered(last, linear.equation_terms(h, omega), omega)
     right_side = linear.filtered(last, linear.equation_constant(h, omega)[None], omega)[0]
     return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
 
 
 def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
-    """The same from products line by line, without weights and Z_last^-1 if no *last*; None if inexact."""
-    measured, linear = problem.measured, problem.model.linear
-    weights = problem.weights
+    """The same from products line by line, without weights and Z_last^-1 if no *last*; None where there are
+    none, or inexact ones.
+    """
+    measured, linear, weights = problem.measured, problem.model.linear, problem.weights
+    if not has_line_products(linear, weights):
+        return None
     if last is None:
         weights = np.ones((measured.omega.size, measured.matrix[0].size), np.complex128)
 
@@ -153,7 +152,7 @@ def maximum_likelihood(
     dof = _dof(measured, model)
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
-    problem = OutputError(measured, expected(measured, model), fit_weights(measured))
+    problem = OutputError.of(measured, model)
 
     def p_value(chi2: float) -> float:
         return uncertainty.p_value(chi2 / dof / uncertainty.excess, dof)
@@ -196,9 +195,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     near; *name* of the start.
     """
     _dof(measured, model)
-    problem: OutputError[ReceptanceModel] = OutputError(
-        measured, expected(measured, model), fit_weights(measured)
-    )
+    problem = OutputError.of(measured, model)
     return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
 
 

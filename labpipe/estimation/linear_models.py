@@ -8,6 +8,7 @@ and Dahleh, Theory of Vibration with Applications, sec. 3.5; den Hartog, sec. 2.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,6 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.model import DynamicModel, Setup, Term, angle_of, entry_term, fixed_matrices, labels
 from labpipe.estimation.settings import FitSettings, Mass, linear_kind
 from labpipe.records.response import Port
-from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import ESTIMATE
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
 
@@ -123,10 +123,8 @@ def _mass_or_error(setup: Setup) -> float:
 
 def axes_of(outputs: tuple[Port, ...]) -> list[int]:
     """0 for x, 1 for y of every response: by its dof or label; of two other names the first is x."""
-    named = [
-        next(("xy".index(name) for name in (port.dof, port.label) if name in AXIS_ANGLES), None)
-        for port in outputs
-    ]
+    axis_of = {"x": 0, "y": 1}
+    named = [axis_of.get(port.dof, axis_of.get(port.label)) for port in outputs]
     if len(outputs) == 2 and None in named:
         other = [axis for axis in named if axis is not None]
         named = [0, 1] if not other else [1 - other[0] if axis is None else axis for axis in named]
@@ -144,10 +142,8 @@ def _directions(outputs: tuple[Port, ...], axes: list[int], angles: list[float])
     """Share of every force along every response, cos(force - response), (n_output, n_input), of sensors
     turned by 45 deg in their own directions; rounding next to zero is zero.
     """
-    response_angles = [
-        port.angle if port.angle is not None else axis * np.pi / 2
-        for port, axis in zip(outputs, axes, strict=True)
-    ]
+    pairs = zip(outputs, axes, strict=True)
+    response_angles = [axis * np.pi / 2 if port.angle is None else port.angle for port, axis in pairs]
     if len(response_angles) == 2 and abs(np.cos(response_angles[0] - response_angles[1])) > PERPENDICULAR:
         what = f"the responses {labels(outputs)} are not perpendicular"
         raise ConfigError(what, hint="the model needs two directions at 90 deg")
@@ -194,10 +190,8 @@ def mdof(setup: Setup) -> DynamicModel:
         raise ConfigError(what, hint="choose with `output`")
     force = np.column_stack([force_direction(port, dofs, setup) for port in setup.inputs])
     shape, symmetric = setup.shape, settings.symmetric
-    terms = [
-        *_entries("k", "stiffness", dofs, shape, symmetric),
-        *_entries("c", "damping", dofs, shape, symmetric),
-    ]
+    kinds = (("k", "stiffness"), ("c", "damping"))
+    terms = [term for pair in kinds for term in _entries(*pair, dofs, shape, symmetric)]
     mass = _fixed_mass(settings.mass, len(dofs))
     if mass is None:
         of_mass = _entries("m", "mass", dofs, shape, symmetric, droppable=False)
@@ -265,6 +259,12 @@ BASE = "base"
 PER_MASS = {"k": ("stiffness_per_mass", "1/s^2"), "c": ("damping_per_mass", "1/s")}
 
 
+def stiffness_and_damping(names: Collection[str]) -> tuple[str, str]:
+    """Which of the *names* are k and c, or k / m and c / m; "" for none."""
+    k, c = (next((name for name in (key, PER_MASS[key][0]) if name in names), "") for key in "kc")
+    return k, c
+
+
 def form_view(form: str, settings: FitSettings) -> FormView:
     """The view of a model on a response of that *form*. ConfigError for a base without its motion, and for a
     transmissibility elsewhere.
@@ -273,9 +273,8 @@ def form_view(form: str, settings: FitSettings) -> FormView:
         other = f"and a motion as output; this FRF is of the form '{form}'"
         what = "this FRF is of a force" if form in DERIVATIVES else other
         hint = "in the rig file: role: input for the acceleration (velocity, displacement) of the base"
-        raise ConfigError(
-            f"model {BASE} needs the motion of the base as input, {what}", hint=f"{hint}; or model: sdof"
-        )
+        what = f"model {BASE} needs the motion of the base as input, {what}"
+        raise ConfigError(what, hint=f"{hint}; or model: sdof")
     if not settings.kind.of_base and form == TRANSMISSIBILITY:
         what = f"model {settings.model} needs a force as input, this FRF is of the motion of a base"
         raise ConfigError(what, hint=f"model: {BASE}")

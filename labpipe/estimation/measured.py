@@ -212,10 +212,8 @@ def _share(numbers: IntArray, correlation: FloatArray) -> float:
     """1 + sum of the *correlation* (n_distance,) over the pairs of chosen lines, per line."""
     chosen = np.zeros(numbers[-1] - numbers[0] + 1)
     chosen[numbers - numbers[0]] = 1.0
-    pairs = [
-        np.dot(chosen[distance:], chosen[:-distance])
-        for distance in range(1, min(correlation.size + 1, chosen.size))
-    ]
+    distances = range(1, min(correlation.size + 1, chosen.size))
+    pairs = [np.dot(chosen[distance:], chosen[:-distance]) for distance in distances]
     return 1.0 + 2 * float(np.dot(pairs, correlation[: len(pairs)])) / numbers.size
 
 
@@ -254,7 +252,7 @@ def matrix_errors(measured: Measured, *, directions: bool = False) -> tuple[Matr
                 if calibration.effect in COURSES:
                     slope, power = COURSES[calibration.effect]
                     change = np.zeros_like(whole)
-                    at = (slice(None), number) if sign > 0 else (slice(None), slice(None), number)
+                    at = (slice(None), number) if sign > 0 else (..., number)
                     size = sign * calibration.uncertainty.std_error * slope
                     change[at] = (size * measured.omega**power)[:, None] * whole[at]
                     add(calibration.uncertainty, change)

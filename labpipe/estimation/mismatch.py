@@ -7,7 +7,6 @@ known, else by its structure. Where it is not noise, the model error stands in v
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -17,16 +16,15 @@ from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text
-from labpipe.estimation.leakage import expected
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel
 from labpipe.estimation.model_error import ModelError, model_error
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.residual import DRAWS, Null, Structure, line_scatter, residual_structure
+from labpipe.estimation.residual import Null, Structure, line_scatter, residual_structure
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student_limit
-from labpipe.estimation.weights import NOISE_FREE, Weights, fit_weights, has_noise
+from labpipe.estimation.weights import NOISE_FREE, Weights, has_noise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Goodness
 
@@ -39,7 +37,7 @@ BIASED = 4.0
 # many hertz to either side, and as a multiple of the mains' frequency [Hz].
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
-
+RICHER = "Use a richer model, or narrow the band"
 # Where nothing could tell whether a residual is noise.
 NOT_JUDGED = Finding(
     "not-judged",
@@ -91,9 +89,8 @@ class _Judge:
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
         return (Finding("model-mismatch", f"{text}. {remedy}"),)
 
-    def minimum(self, model: ReceptanceModel, start: FloatArray) -> _Minimum | None:
+    def minimum(self, problem: OutputError[ReceptanceModel], start: FloatArray) -> _Minimum | None:
         """The minimum from *start* (n_parameter,); None where there is none, or it cannot be judged."""
-        problem: OutputError[ReceptanceModel] = OutputError(self.measured, model, self._whitener)
         try:
             minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
             if not minimum.converged:
@@ -101,14 +98,13 @@ class _Judge:
             assessed = assess(self.measured, self.model, problem, minimum.values, stated=self.stated)
         except (FitError, np.linalg.LinAlgError):
             return None
-        if self.exact(model, minimum.values):
-            return _Minimum(problem, minimum.values, assessed, 1.0)
-        if assessed.p_value is not None:
-            return _Minimum(problem, minimum.values, assessed, assessed.p_value)
-        structure = self.structure(problem, minimum.values, Null(self.measured.line_noise, n_draw=DRAWS))
-        if structure is None:
-            return None
-        p_value = min(1.0, structure.p_value * self.n_band)
+        structure = None
+        p_value = 1.0 if _is_exact(problem, minimum.values) else assessed.p_value
+        if p_value is None:
+            structure = self.structure(problem, minimum.values, Null(self.measured.line_noise))
+            if structure is None:
+                return None
+            p_value = min(1.0, structure.p_value * self.n_band)
         return _Minimum(problem, minimum.values, assessed, p_value, structure)
 
     def structure(
@@ -131,17 +127,13 @@ class _Judge:
         structure = self.structure(best.problem, best.values, null)
         return structure is not None and structure.p_value >= MISMATCH_P
 
-    @cached_property
-    def _whitener(self) -> Weights:
-        return fit_weights(self.measured)
 
-    def exact(self, model: ReceptanceModel, values: FloatArray) -> bool:
-        """True for a residual at *values* (n_parameter,) [parameter units] that is rounding."""
-        problem: OutputError[ReceptanceModel] = OutputError(self.measured, model, self._whitener)
-        try:
-            return bool(np.linalg.norm(problem.residual(values)) <= NOISE_FREE * problem.size)
-        except FitError:
-            return False
+def _is_exact(problem: OutputError[ReceptanceModel], values: FloatArray) -> bool:
+    """True for a residual at *values* (n_parameter,) [parameter units] that is rounding."""
+    try:
+        return bool(np.linalg.norm(problem.residual(values)) <= NOISE_FREE * problem.size)
+    except FitError:
+        return False
 
 
 def judge(
@@ -163,10 +155,10 @@ def judge(
     judged = _Judge(measured, model, estimate, settings, n_band, leaking, stated, excess(estimate))
     if (has_noise(measured) and judged.factor is None) or not estimate.converged:
         return Judgement()
-    shown = expected(measured, model)
-    if judged.exact(shown, estimate.values):
+    problem = OutputError.of(measured, model)
+    if _is_exact(problem, estimate.values):
         return Judgement()
-    minimum = judged.minimum(shown, estimate.values) if settings.estimates.phase else None
+    minimum = judged.minimum(problem, estimate.values) if settings.estimates.phase else None
     if minimum is None:
         return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, estimate.gof)
     if minimum.p_value >= MISMATCH_P:
@@ -205,9 +197,7 @@ def by_lines(case: Case) -> Estimate:
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
     if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
         return estimate
-    problem: OutputError[ReceptanceModel] = OutputError(
-        measured, expected(measured, case.model), fit_weights(measured)
-    )
+    problem = OutputError.of(measured, case.model)
     jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
@@ -216,7 +206,7 @@ def by_lines(case: Case) -> Estimate:
 def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
-    jacobian, residual = (best.problem.jacobian(best.values), best.problem.residual(best.values))
+    jacobian, residual = best.problem.jacobian(best.values), best.problem.residual(best.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
@@ -243,7 +233,7 @@ def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
     covariance = np.array(measured.covariance)
     covariance[line] *= OUT
     without = replace(judged, measured=replace(measured, covariance=covariance))
-    other = without.minimum(best.problem.model, best.values)
+    other = without.minimum(OutputError.of(without.measured, judged.model), best.values)
     if other is None or other.p_value < MISMATCH_P:
         return None
     frequency = float(measured.omega[line] / (2 * np.pi))
@@ -268,11 +258,17 @@ def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     if error is None:
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
+    return _stated(judged, best, error, "Values and intervals", factor)
+
+
+def _stated(
+    judged: _Judge, best: _Minimum, error: ModelError | CoefficientError, what: str, growth: float
+) -> Judgement:
     text = (
-        f"{_wording(best)}; most likely {error.reason}. Values and intervals include what the model leaves "
-        f"unexplained, and are up to {factor:.3g} times as wide as noise alone makes them"
+        f"{_wording(best)}; most likely {error.reason}. {what} include what the model leaves unexplained, "
+        f"and are up to {growth:.3g} times as wide as noise alone makes them"
     )
-    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), model_error=error)
+    return Judgement(judged.finding(text, RICHER), model_error=error)
 
 
 def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
@@ -283,13 +279,7 @@ def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     if best.assessed.reduced is not None:
         larger = float(np.max(np.diag(best.assessed.covariance) / np.diag(best.assessed.inverse)))
     error = coefficient_error(judged.measured, best.problem.model, best.values, weights, larger)
-    if error is None:
-        return None
-    text = (
-        f"{_wording(best)}; most likely {error.reason}. Intervals include what the model leaves "
-        f"unexplained, and are up to {error.growth:.3g} times as wide as noise alone makes them"
-    )
-    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), model_error=error)
+    return None if error is None else _stated(judged, best, error, "Intervals", error.growth)
 
 
 def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
@@ -308,9 +298,8 @@ def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     """The excess over the noise counts as noise; of unknown noise, neighbours that are alike count as one."""
     away = best.values - judged.estimate.values
     if best.structure is None:
-        at_minimum = replace(
-            judged.estimate.gof, chi2_reduced=best.assessed.reduced, chi2_p=best.assessed.p_value
-        )
+        gof, assessed = judged.estimate.gof, best.assessed
+        at_minimum = replace(gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
         return _by_factor(judged, at_minimum if judged.factor is None else judged.estimate.gof, away)
     covariance = _with_distance(judged.measured.omega.size / 2 * best.assessed.covariance, away)
     text = (
@@ -334,16 +323,14 @@ def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) ->
         f"{_growth(estimate, covariance)} since the excess counts as noise; a mode missing within the band "
         "can be worse than that"
     )
-    return Judgement(judged.finding(text, "Use a richer model, or narrow the band"), covariance)
+    return Judgement(judged.finding(text, RICHER), covariance)
 
 
 def _wording(best: _Minimum) -> str:
     if best.structure is None:
         return excess_text(best.assessed.reduced, best.p_value)
-    return (
-        f"the residual is not noise: {best.structure.said} (p = {best.p_value:.2g} for noise under the "
-        "same fit)"
-    )
+    said, p_value = best.structure.said, best.p_value
+    return f"the residual is not noise: {said} (p = {p_value:.2g} for noise under the same fit)"
 
 
 def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:

@@ -142,9 +142,8 @@ class ModeModel:
         (n_shape,) [1].
         """
         rows = np.zeros((3 if self.n_interest == 3 else 2, n))
-        rows[:2, : self.n_interest] = self.to_resonance / np.array(
-            [[self.frequency_and_damping(q)[1]], [PRIOR_DAMPING]]
-        )
+        widths = np.array([[self.frequency_and_damping(q)[1]], [PRIOR_DAMPING]])
+        rows[:2, : self.n_interest] = self.to_resonance / widths
         if self.n_interest == 3:
             rows[2, [0, 2]] = 0.5 / PRIOR_LEVEL
         return rows

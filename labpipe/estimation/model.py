@@ -128,9 +128,8 @@ class ActingTerms:
         if self.plain:
             return elements
         if self.single is not None:
-            return np.asarray(
-                elements[..., self.single] * self.matrices[self.single, np.arange(self.single.size)]
-            )
+            factors = self.matrices[self.single, np.arange(self.single.size)]
+            return np.asarray(elements[..., self.single] * factors)
         return np.asarray(elements @ self.matrices)
 
 
@@ -182,9 +181,8 @@ class DynamicModel:
         joined = parameters @ self._joined[:-1] + self._joined[-1]
         square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
-        return Matrices(
-            square[..., 0, :, :], square[..., 1, :, :].real, square[..., 2, :, :].real, force.real
-        )
+        stiffness, damping, mass = np.moveaxis(square, -3, 0)
+        return Matrices(stiffness, damping.real, mass.real, force.real)
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Z(w) = K + j w C - w^2 M [N/m], (n_line, n_dof, n_dof); *omega* (n_line,) [rad/s]. Equation
@@ -197,9 +195,8 @@ class DynamicModel:
         (est-receptance).
         """
         whole = self.whole(parameters)
-        return _regular(
-            np.linalg.solve, _dynamic_stiffness(whole, omega), whole.force.astype(np.complex128)[None]
-        )
+        force = whole.force.astype(np.complex128)[None]
+        return _regular(np.linalg.solve, _dynamic_stiffness(whole, omega), force)
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp_j = -Z^-1 (Z_j H - B_j), (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit];
@@ -250,22 +247,18 @@ class DynamicModel:
         terms = np.zeros((len(self.terms), n_dof, n_line, n_input), np.complex128)
         by_dof = np.ascontiguousarray(h.transpose(1, 0, 2))
         for kind, factor in _line_factors(omega).items():
-            stack = self._stacks[kind]
-            acting = np.flatnonzero(np.any(stack != 0, axis=(1, 2)))
-            if acting.size:
+            acting = self.acting[kind]
+            if acting is not None:
                 moved = (by_dof * factor[:, None]).reshape(n_dof, -1).astype(np.complex128, copy=False)
-                products = stack[acting].reshape(-1, n_dof).astype(np.complex128) @ moved
-                terms[acting] += products.reshape(acting.size, n_dof, n_line, n_input)
-        force = self._stacks["force"]
-        if np.any(force):
-            terms -= force[:, :, None]
+                stack = self._stacks[kind][acting.place].reshape(-1, n_dof).astype(np.complex128)
+                terms[acting.place] += (stack @ moved).reshape(-1, n_dof, n_line, n_input)
+        if self.acting["force"] is not None:
+            terms -= self._stacks["force"][:, :, None]
         return terms.transpose(0, 2, 1, 3)
 
     def equation_constant(self, h: ComplexArray, omega: FloatArray) -> ComplexArray:
         """B_0 - Z_0 H [1]: the right side of the equation of motion, (n_line, n_dof, n_input)."""
-        return np.asarray(
-            self.constant.force - _dynamic_stiffness(self.constant, omega) @ h, dtype=np.complex128
-        )
+        return self.constant.force - _dynamic_stiffness(self.constant, omega) @ h
 
     @cached_property
     def _joined(self) -> FloatArray:
@@ -277,18 +270,16 @@ class DynamicModel:
     @cached_property
     def acting(self) -> dict[str, ActingTerms | None]:
         """Of each kind of matrix, the terms that have one; None where no term has."""
-        return {
-            kind: ActingTerms.of(stack.reshape(len(self.terms), -1)) for kind, stack in self._stacks.items()
-        }
+        n = len(self.terms)
+        return {kind: ActingTerms.of(stack.reshape(n, -1)) for kind, stack in self._stacks.items()}
 
     @cached_property
     def _stacks(self) -> dict[str, FloatArray]:
-        return {
-            kind: np.array([getattr(term.matrices, kind) for term in self.terms]).reshape(
-                -1, *getattr(self.constant, kind).shape
-            )
-            for kind in UNITS
-        }
+        stacks = {}
+        for kind in UNITS:
+            shape = getattr(self.constant, kind).shape
+            stacks[kind] = np.array([getattr(term.matrices, kind) for term in self.terms]).reshape(-1, *shape)
+        return stacks
 
 
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
@@ -304,9 +295,8 @@ def _line_factors(omega: FloatArray) -> dict[str, NDArray[np.inexact]]:
 
 def _dynamic_stiffness(matrices: Matrices, omega: FloatArray) -> ComplexArray:
     w = omega[:, None, None]
-    return np.asarray(
-        matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping, dtype=np.complex128
-    )
+    whole = matrices.stiffness - w**2 * matrices.mass + 1j * w * matrices.damping
+    return np.asarray(whole, np.complex128)
 
 
 def _regular(operation: Callable[..., ComplexArray], *matrices: ComplexArray) -> ComplexArray:
@@ -371,21 +361,17 @@ def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
         _check_names(model, name, "fixed")
         model = model.fixed(name, value)
     for group in settings.tied:
-        model = _tie(model, group)
+        for name in group:
+            _check_names(model, name, "tied")
+        units = {term.unit for term in model.terms if term.name in group}
+        if len(set(group)) < 2 or len(units) > 1:
+            what = f"tied: {', '.join(group)} cannot have one value"
+            raise ConfigError(what, hint="name two or more coefficients of one unit")
+        model = model.tied(group)
     if not model.terms:
         what = "every coefficient is fixed, so nothing is left to estimate"
         raise ConfigError(what, hint="shorten `fixed`")
     return model
-
-
-def _tie(model: DynamicModel, group: tuple[str, ...]) -> DynamicModel:
-    for name in group:
-        _check_names(model, name, "tied")
-    units = {term.unit for term in model.terms if term.name in group}
-    if len(set(group)) < 2 or len(units) > 1:
-        what = f"tied: {', '.join(group)} cannot have one value"
-        raise ConfigError(what, hint="name two or more coefficients of one unit")
-    return model.tied(group)
 
 
 def _check_names(model: DynamicModel, name: str, key: str) -> None:

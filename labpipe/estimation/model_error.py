@@ -11,7 +11,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.derived import is_corrected
 from labpipe.estimation.discrepancy import Mixture, mixture
-from labpipe.estimation.linear_models import PER_MASS
+from labpipe.estimation.linear_models import stiffness_and_damping
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
 from labpipe.estimation.model import DynamicModel, FittedModel
@@ -213,21 +213,19 @@ def _mode_of(model: FittedModel, values: FloatArray) -> _Built | None:
         return _transfer(by_name) if by_name["f_n"] > 0 and by_name["zeta"] > 0 else None
     if not isinstance(model, DynamicModel) or any(term.aliases for term in model.terms):
         return None
-    either = {letter: (letter, PER_MASS[letter][0]) for letter in "kc"}
-    names = {letter: next((n for n in pair if n in by_name), "") for letter, pair in either.items()}
-    free = "m" in by_name
-    if set(by_name) != {*names.values(), *(["m"] if free else [])} or "" in names.values():
+    stiffness, damping = stiffness_and_damping(by_name)
+    constant, of_mass = model.constant, ["m"] if "m" in by_name else []
+    if set(by_name) != {stiffness, damping, *of_mass}:
         return None
-    constant = model.constant
     if np.any(constant.stiffness) or np.any(constant.damping) or not np.any(constant.force):
         return None
-    sign = float(np.sign(by_name[names["k"]]))
-    mass = None if free else sign * float(constant.mass[0, 0])
-    numbers = sign * np.array([by_name[names["k"]], by_name[names["c"]], *([by_name["m"]] if free else [])])
+    sign = float(np.sign(by_name[stiffness]))
+    mass = None if of_mass else sign * float(constant.mass[0, 0])
+    numbers = sign * np.array([by_name[name] for name in (stiffness, damping, *of_mass)])
     if np.any(numbers <= 0) or (mass is not None and mass <= 0):
         return None
     mode = ModeModel(_NO_CURVE, coefficients=True, residual=0, mass=mass)
-    rows = _coefficient_rows(mode, names["k"], names["c"])
+    rows = _coefficient_rows(mode, stiffness, damping)
     return _Built(mode, np.log(numbers), rows, sign * float(constant.force[0, 0]))
 
 

@@ -13,18 +13,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import combinations_with_replacement
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.estimation.damping import FactorModel
 from labpipe.estimation.descent import Linearisation, linearised, sum_of_squares, triangle_of_products
+from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import CACHED_ELEMENTS, ActingTerms, DynamicModel, ReceptanceModel, compliance
 from labpipe.estimation.weights import (
     ProductWeights,
     Weights,
+    fit_weights,
     is_short,
     short_weights,
     weights_at,
@@ -189,6 +191,11 @@ class OutputError(Generic[Model]):
     measured: Measured
     model: Model
     whitener: Weights
+
+    @classmethod
+    def of(cls, measured: Measured, model: Any) -> OutputError[Any]:
+        """Of a *model* as the data show it, weighted by their noise; FitError as of fit_weights."""
+        return OutputError(measured, expected(measured, model), fit_weights(measured))
 
     @property
     def size(self) -> float:

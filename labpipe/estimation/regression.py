@@ -130,15 +130,14 @@ def line_weights(measured: Measured, weight: str) -> FloatArray:
     """
     if weight == "none":
         return np.ones(measured.omega.size)
+    cure = "leave `weight` out"
     if not has_noise(measured):
-        what = "the noise of the FRF is not known, so lines cannot be weighted by it"
-        raise FitError(what, hint="leave `weight` out")
+        raise FitError("the noise of the FRF is not known, so lines cannot be weighted by it", hint=cure)
     assert measured.covariance is not None
     size = np.sqrt(np.sum(np.abs(measured.matrix) ** 2, axis=(1, 2)))
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
-        what = "a line of the FRF has no noise, so lines cannot be weighted by it"
-        raise FitError(what, hint="leave `weight` out")
+        raise FitError("a line of the FRF has no noise, so lines cannot be weighted by it", hint=cure)
     return np.asarray(size / noise / np.max(size / noise))
 
 
@@ -242,10 +241,8 @@ def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, F
 
 def _separate_regressions(model: DynamicModel) -> list[tuple[list[int], list[int]]]:
     n_dof = model.constant.mass.shape[0]
-    acts = [
-        np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1)
-        for m in (term.matrices for term in model.terms)
-    ]
+    every = [term.matrices for term in model.terms]
+    acts = [np.any(np.hstack([m.stiffness, m.damping, m.mass, m.force]) != 0, axis=1) for m in every]
     groups: list[tuple[list[int], list[int]]] = []
     for row in range(n_dof):
         rows, columns = [row], {number for number, places in enumerate(acts) if places[row]}
@@ -282,9 +279,8 @@ def instrumental_variables(
     dependent instruments. Equation (est-iv).
     """
     equation = regression(measured, model, weight)
-    values, stationary, iterations = _iterate(
-        measured, model, equation, equation_solution(equation, model)[0]
-    )
+    start = equation_solution(equation, model)[0]
+    values, stationary, iterations = _iterate(measured, model, equation, start)
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
     correlation = weakest_correlation(instruments, equation.rows)

@@ -110,10 +110,8 @@ def over_repeats(
     pooled = tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
     if len(repeats) < 2:
         return pooled
-    return tuple(
-        _over(fit, tuple(repeats), of_fit, test)
-        for fit, of_fit in zip(pooled, zip(*repeats.values(), strict=True), strict=True)
-    )
+    by_fit = zip(pooled, zip(*repeats.values(), strict=True), strict=True)
+    return tuple(_over(fit, tuple(repeats), of_fit, test) for fit, of_fit in by_fit)
 
 
 def _numbered_as(pooled: Fit, fit: Fit) -> Fit:
@@ -170,9 +168,7 @@ class RepeatValues:
 def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
     recordings = [test.response.repeat_names[place] for place in places]
     by_name = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats]
-    names = [
-        p.name for p in pooled.parameters if all(_usable(of_repeat.get(p.name)) for of_repeat in by_name)
-    ]
+    names = [p.name for p in pooled.parameters if all(_usable(of.get(p.name)) for of in by_name)]
     if not names:
         return pooled
     columns = {name: RepeatValues.of([of_repeat[name] for of_repeat in by_name]) for name in names}
@@ -214,9 +210,8 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
             )
             ends = () if groups or name not in columns else (0, -1)
             aside = [by_name[end][name] for end in ends if not used[end]]
-            stated.append(
-                stated_mean(parameter, means[name], of, common.get(name), pooled.dof, summary, aside)
-            )
+            shared = common.get(name)
+            stated.append(stated_mean(parameter, means[name], of, shared, pooled.dof, summary, aside))
         else:
             stated.append(parameter)
     # Beside the parts of given numbers, those of noise and repeats.
@@ -250,9 +245,8 @@ def _course(
     """Which repeats are used, and what *judged* follows: their *levels* (n,) over the middle one less 1, else
     their order, from -1/2 to 1/2; None where neither, or of named *groups*.
     """
-    values, variances = (
-        np.stack([getattr(of, part) for of in judged], axis=1) for part in ("values", "variances")
-    )
+    values = np.stack([of.values for of in judged], axis=1)
+    variances = np.stack([of.variances for of in judged], axis=1)
     if groups:
         return kept_repeats(values, variances, groups=groups), None
     middle = 1.0 if levels is None else float(np.median(levels))

@@ -220,9 +220,8 @@ class FitSettings(Settings):
         self._check_combinations()
         kind = self.kind
         if kind.settings is None and self.model_settings is not None:
-            raise ConfigError(
-                f"model {self.model} has no settings of its own", hint="leave model_settings out"
-            )
+            what = f"model {self.model} has no settings of its own"
+            raise ConfigError(what, hint="leave model_settings out")
         if kind.settings is not None and kind.optional and self.model_settings is None:
             object.__setattr__(self, "model_settings", kind.settings())
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
@@ -275,9 +274,8 @@ class FitSettings(Settings):
         _refuse(not 0 < self.coverage < 1, "coverage", "'coverage' must lie between 0 and 100 %")
         several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
         every = f"every mode of model {self.model} has its own"
-        _refuse(
-            several, "damping", f"{self.damping} damping is of several coefficients, {every}", "leave it out"
-        )
+        what = f"{self.damping} damping is of several coefficients, {every}"
+        _refuse(several, "damping", what, "leave it out")
         what = f"'eliminate' cannot be combined with {self.damping} damping"
         _refuse(law and self.eliminate, "eliminate", what, either)
         of_both = "whose factor is that of bearing and support together"

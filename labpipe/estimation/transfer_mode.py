@@ -179,9 +179,8 @@ def peak_starts(measured: Measured) -> list[FloatArray]:
     inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
     peaks = np.flatnonzero(inner) + 1
     largest = peaks[np.argsort(size[peaks])[::-1][:PEAKS]]
-    return [
-        _with_amounts(measured, np.array([w[n] ** 2, 2 * zeta * w[n]])) for n in largest for zeta in DAMPED
-    ]
+    starts = (np.array([w[n] ** 2, 2 * zeta * w[n]]) for n in largest for zeta in DAMPED)
+    return [_with_amounts(measured, start) for start in starts]
 
 
 def _with_amounts(measured: Measured, start: FloatArray) -> FloatArray:

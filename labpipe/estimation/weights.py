@@ -20,7 +20,7 @@ from labpipe.estimation.statistics import stack
 
 # Share of the standard deviations by which a covariance may differ from such a product: rounding.
 ROUNDING = 1e-12
-# Numbers of a covariance that are looked at together, in the cache.
+# Complex numbers that are looked at, or whitened, together in the cache.
 CACHED_NUMBERS = 1 << 16
 
 
@@ -78,8 +78,6 @@ SINGULAR_ROUNDINGS = 100
 # Standard errors by which noise of the forces may move an estimate through its weights; how far the noise of
 # a line may reach in its deviations, and as a part of a force.
 LEAST_SHIFT, FARTHEST, MOST_MOVED = 0.05, 3.0, 0.5
-# Complex numbers that are whitened together, in the cache.
-CACHED_TERMS = 1 << 16
 
 
 # A whitener (n_line, n, n) [N/m], its diagonals (n_line, n) where all else is zero, or its factors.
@@ -123,17 +121,15 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
         return WeightUncertainty(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
     if a <= 1:
-        raise FitError(
-            f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only",
-            hint="average more periods or blocks, or raise `smooth`",
-        )
+        what = f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only"
+        raise FitError(what, hint="average more periods or blocks, or raise `smooth`")
     inflation, shared = measured.shared_noise * nu**2 / (a**2 - 1), measured.shared_power
     return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, shared), shared)
 
 
 def fitted_uncertainty(
     measured: Measured,
-    noise: SharedNoise | LineBlocks | None,
+    noise: SharedNoise | LineBlocks,
     uncertainty: WeightUncertainty,
     jacobian: FloatArray,
     inverse: FloatArray,
@@ -145,19 +141,13 @@ def fitted_uncertainty(
     errors of the noise are a common factor of a resonance's weights, and cost no efficiency. Equation
     (est-ml-covariance).
     """
-    if noise is None:
-        return uncertainty.inflation * inverse, uncertainty
-    n_equation, n_parameter = jacobian.shape
     residual = shared_residual(noise, complex_rows(jacobian, measured.omega.size), inverse)
-    dof = n_equation - n_parameter
+    dof = jacobian.shape[0] - jacobian.shape[1]
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
-    changed = replace(
-        uncertainty,
-        excess=uncertainty.excess * residual.mean / dof,
-        shared=shared,
-        residual_dof=_residual_dof(measured, dof, shared) if estimated else np.inf,
-    )
+    excess = uncertainty.excess * residual.mean / dof
+    residual_dof = _residual_dof(measured, dof, shared) if estimated else np.inf
+    changed = replace(uncertainty, excess=excess, shared=shared, residual_dof=residual_dof)
     lost = uncertainty.inflation / measured.shared_noise if measured.noise is None else 1.0
     return lost * residual.covariance, changed
 
@@ -190,9 +180,9 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
 def has_noise(measured: Measured) -> bool:
     """Whether the FRF has a measured covariance above rounding."""
     variance = measured.variance
-    return variance is not None and bool(
-        np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2)
-    )
+    if variance is None:
+        return False
+    return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
 
 
 def equal_weights(measured: Measured) -> ComplexArray:
@@ -267,10 +257,8 @@ def fit_weights(measured: Measured) -> Weights:
     _check_regular(measured, smallest[0] * smallest[1])
     # Standard deviations are s_o [m/N] of the outputs times s_i [1] of the inputs.
     deviations = by_port[:, :, 0], by_port[:, 0] / by_port[:, 0, :1]
-    roots = (
-        np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None]
-        for factor, size in zip(factors, deviations, strict=True)
-    )
+    pairs = zip(factors, deviations, strict=True)
+    roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in pairs)
     return ProductWeights(*roots)
 
 
@@ -335,7 +323,7 @@ def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
     by_line = terms.transpose(1, 2, 3, 0)
     whitener = short_weights(whitener)
     stacked_columns = np.empty((2, n_line, n, n_term))
-    n_chunk = max(16, CACHED_TERMS // (n * n_term))
+    n_chunk = max(16, CACHED_NUMBERS // (n * n_term))
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
         white = white_columns(whitener, lines, by_line[lines])

@@ -98,11 +98,10 @@ def common_changes(fits: Sequence[Fit], change_of: Callable[[Fit, str], float]) 
     uncertainty of every source. *change_of*: of a fit and a source. Sources of one name are one error; none
     gives (0, n_fit).
     """
-    sources = [() if fit.budget is None else fit.budget.sources for fit in fits]
     return matrix_of(
         [
-            {source.source: change_of(fit, source.source) for source in of_fit}
-            for fit, of_fit in zip(fits, sources, strict=True)
+            {} if fit.budget is None else {s.source: change_of(fit, s.source) for s in fit.budget.sources}
+            for fit in fits
         ]
     )
 
@@ -126,9 +125,8 @@ def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
     have a source.
     """
     sources = dict.fromkeys(source for of_value in changes for source in of_value)
-    return np.array([[of_value.get(source, 0.0) for of_value in changes] for source in sources]).reshape(
-        len(sources), len(changes)
-    )
+    rows = [[of_value.get(source, 0.0) for of_value in changes] for source in sources]
+    return np.array(rows).reshape(len(sources), len(changes))
 
 
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:

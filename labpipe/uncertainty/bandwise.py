@@ -52,9 +52,8 @@ def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
     pairs = [(a, b, name) for name, a, b in every if (a.band_hz, a.term) == (b.band_hz, b.term)]
     usable = [(a, b, name) for a, b, name in pairs if _has_error(a, name) and _has_error(b, name)]
     if not usable:
-        raise FitError(
-            "the two tests have no band in common with standard errors", hint="fit both in the same bands"
-        )
+        what = "the two tests have no band in common with standard errors"
+        raise FitError(what, hint="fit both in the same bands")
     raw = [_test(a, b, name) for a, b, name in usable]
     corrected = holm(np.array([p for p, _ in raw]))
     first, second = settings.groups
@@ -93,9 +92,8 @@ def _parameters(settings: CompareSettings, fit: Fit) -> list[str]:
     if settings.parameter == ANY:
         return [name for name in names if name in ("k", "c")]
     if settings.parameter not in names:
-        raise ConfigError(
-            f"fit '{settings.fit}' has no '{settings.parameter}'", hint=nearest(settings.parameter, names)
-        )
+        what = f"fit '{settings.fit}' has no '{settings.parameter}'"
+        raise ConfigError(what, hint=nearest(settings.parameter, names))
     return [settings.parameter]
 
 
@@ -146,9 +144,8 @@ def _statement(
     left_out: int,
 ) -> str:
     first, second = settings.groups
-    result = (
-        f"{second} against {first}: {len(differing)} of {len(bands)} coefficients of bands differ: {verdict}"
-    )
+    share = f"{len(differing)} of {len(bands)} coefficients of bands differ"
+    result = f"{second} against {first}: {share}: {verdict}"
     corrected = f" (Holm's correction, together at most {100 * settings.level:g} % false alarms)."
     listed = [
         f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})"
@@ -169,9 +166,7 @@ def two_tests(settings: CompareSettings, fits: Sequence[Fit], groups: Sequence[t
         members = [test for test, group in groups if group == name]
         if len(members) != 1:
             names = ", ".join(sorted({group for _, group in groups}))
-            raise ConfigError(
-                f"{len(members)} tests have {settings.group}: {name}; one is compared with one",
-                hint=f"known: {names}",
-            )
+            what = f"{len(members)} tests have {settings.group}: {name}; one is compared with one"
+            raise ConfigError(what, hint=f"known: {names}")
         chosen.append(tuple(fit for fit in fits if fit.test == members[0]))
     return chosen[0], chosen[1]

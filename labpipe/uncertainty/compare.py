@@ -50,18 +50,15 @@ def power_fit(campaign: Campaign) -> WeightedFit:
     With the propagated error of setting the conditions: s^2 = s_fit^2 + (n s_x / x)^2 + (m s_y / y)^2.
     Equation (comp-power).
     """
-    for values, name in zip(_conditions(campaign), campaign.settings.over, strict=True):
+    conditions = _conditions(campaign)
+    for values, name in zip(conditions, campaign.settings.over, strict=True):
         if np.any(values <= 0):
             raise FitError(f"a power law needs '{name}' above zero", hint="law: line")
-    relative = campaign.relative
-    columns = np.column_stack(
-        [np.ones_like(campaign.condition), *(np.log(x / _centre(x)) for x in _conditions(campaign))]
-    )
-    first = weighted_fit(columns, np.log(campaign.value), relative)
+    relative, logs = campaign.relative, np.log(campaign.value)
+    columns = np.column_stack([np.ones_like(logs), *(np.log(x / _centre(x)) for x in conditions)])
+    first = weighted_fit(columns, logs, relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
-    return weighted_fit(
-        columns, np.log(campaign.value), joint_errors(errors, campaign.common / campaign.value)
-    )
+    return weighted_fit(columns, logs, joint_errors(errors, campaign.common / campaign.value))
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
@@ -210,10 +207,8 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
             dof = dof_of_sum(both, np.array([before.effective_dof, after.effective_dof]))
             pairs.append((after.values[0] - before.values[0], np.linalg.norm(both), new - old, dof))
     if not pairs:
-        raise ConfigError(
-            f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'",
-            hint="leave `over` out",
-        )
+        what = f"{first} and {second} were tested at no common '{', '.join(campaign.settings.over)}'"
+        raise ConfigError(what, hint="leave `over` out")
     differences, spreads, changes, dofs = (np.array(column) for column in zip(*pairs, strict=True))
     return differences, spreads, changes.T, dofs
 
@@ -221,10 +216,8 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
 def _strata(campaign: Campaign) -> list[BoolArray]:
     if not campaign.settings.over:
         return [np.ones(len(campaign.observations), bool)]
-    numbers = [levels_of(campaign.condition, campaign.settings.tolerance)[1]]
-    if campaign.settings.second:
-        numbers.append(levels_of(campaign.second, campaign.settings.tolerance)[1])
-    places = np.column_stack(numbers)
+    tolerance = campaign.settings.tolerance
+    places = np.column_stack([levels_of(values, tolerance)[1] for values in _conditions(campaign)])
     return [np.all(places == place, axis=1) for place in np.unique(places, axis=0)]
 
 

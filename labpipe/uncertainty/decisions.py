@@ -51,9 +51,8 @@ def conformance(value: float, error: float, limits: Limits) -> float:
     """
     if error == 0.0:
         return float(limits.hold(value))
-    return max(
-        1.0 - normal_tail((limits.high - value) / error) - normal_tail((value - limits.low) / error), 0.0
-    )
+    above, below = (normal_tail(gap / error) for gap in (limits.high - value, value - limits.low))
+    return max(1.0 - above - below, 0.0)
 
 
 def guard_band(error: float, risk: float) -> float:

@@ -151,9 +151,8 @@ def equilibrium_paths(
         if len(points) > 1:
             loads = np.array([matrix.axes[number].levels[point.place[number]] for point in points])
             at = ", ".join(axis.text(axis.levels[n]) for axis, n in zip(axes, others, strict=True))
-            paths.append(
-                comparison.EquilibriumPath(at, _path(settings, loads, points, fits), settings.clearance)
-            )
+            path = _path(settings, loads, points, fits)
+            paths.append(comparison.EquilibriumPath(at, path, settings.clearance))
     return tuple(paths)
 
 
@@ -209,10 +208,8 @@ def _rest(settings: EquilibriumSettings, point: comparison.MatrixPoint) -> list[
     entries = [beside[settings.x], beside[settings.y]]
     for entry in entries:
         if entry.unit != QUANTITIES["displacement"].si_unit:
-            raise ConfigError(
-                f"the condition '{entry.name}' is no displacement but in {entry.unit}",
-                hint="{channel: d_x}, its mean",
-            )
+            what = f"the condition '{entry.name}' is no displacement but in {entry.unit}"
+            raise ConfigError(what, hint="{channel: d_x}, its mean")
     return [[entry.value for entry in entries], [entry.scatter for entry in entries]]
 
 
@@ -272,10 +269,8 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     places = [estimated.index(name) for name in STIFFNESS]
     covariance = fit.correlation[np.ix_(places, places)] * np.outer(errors, errors)
     sources = () if fit.budget is None else fit.budget.sources
-    changes = {
-        source.source: slopes @ np.array([change_in(fit, source.source, name) for name in STIFFNESS])
-        for source in sources
-    }
+    names = [source.source for source in sources]
+    changes = {name: slopes @ np.array([change_in(fit, name, key) for key in STIFFNESS]) for name in names}
     return displacement, slopes @ covariance @ slopes.T, changes
 
 
@@ -310,18 +305,16 @@ def condition_matrix(
     coefficient or condition, FitError where no test has a result.
     """
     chosen = _choose(settings, fits)
-    amounts = {
-        name: amounts_of(name, chosen, conditions)
-        for name in dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
-    }
+    asked = dict.fromkeys((*settings.over, *settings.beside, *_of_path(settings)))
+    amounts = {name: amounts_of(name, chosen, conditions) for name in asked}
     axes, places = _axes(settings, amounts)
     names = _names(settings, chosen)
     groups: dict[tuple[int, ...], list[int]] = {}
     for number, place in enumerate(places):
         groups.setdefault(place, []).append(number)
-    cells = ((place, [chosen[n] for n in members], members) for place, members in sorted(groups.items()))
     points = tuple(
-        _point(settings, place, of_place, members, names, amounts) for place, of_place, members in cells
+        _point(settings, place, [chosen[n] for n in members], members, names, amounts)
+        for place, members in sorted(groups.items())
     )
     every = itertools.product(*(range(len(axis.levels)) for axis in axes))
     matrix = comparison.ConditionMatrix(
@@ -376,8 +369,8 @@ def _names(settings: MatrixSettings, fits: Sequence[Fit]) -> tuple[str, ...]:
         if not any(name in names for names in names_of):
             what = f"fit '{settings.fit}' has no '{name}'"
             raise SettingError("parameters", what, nearest(name, names_of[0]))
-    common = (name for name in names_of[0] if all(name in names for names in names_of))
-    return settings.parameters or tuple(common)
+    common = tuple(name for name in names_of[0] if all(name in names for names in names_of))
+    return settings.parameters or common
 
 
 def _point(
@@ -410,9 +403,7 @@ def _beside_theory(
 
 def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comparison.ConditionMatrix:
     values = [(point, value) for point in matrix.points for value in point.values]
-    tested = [
-        (point, value) for point, value in values if value.p_value is not None and not value.parameter.derived
-    ]
+    tested = [pair for pair in values if pair[1].p_value is not None and not pair[1].parameter.derived]
     corrected = holm(np.array([value.p_value for _, value in tested]))
     apart = [pair for pair, p in zip(tested, corrected, strict=True) if p < settings.level]
     holding = [value.holds_theory for _, value in values if value.holds_theory is not None]

@@ -42,20 +42,16 @@ class Observation:
         """
         error = random_error(self.fit, self.parameter)
         if error is None:
-            raise FitError(
-                f"'{self.parameter.name}' of test {self.fit.test} has no standard error",
-                hint="a comparison needs one",
-            )
+            what = f"'{self.parameter.name}' of test {self.fit.test} has no standard error"
+            raise FitError(what, hint="a comparison needs one")
         return error
 
     @property
     def relative(self) -> float:
         """Standard error over value; FitError for a value that is not above zero."""
         if not self.value > 0:
-            raise FitError(
-                f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}",
-                hint="only positive values have a ratio",
-            )
+            what = f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}"
+            raise FitError(what, hint="only positive values have a ratio")
         return self.std_error / self.value
 
     def point(self) -> ComparedPoint:
@@ -173,13 +169,11 @@ def campaign_of(
         for number, fit in enumerate(chosen)
     ]
     if len(observations) < 2:
-        raise FitError(
-            f"comparison '{settings.name}' has {len(observations)} test(s)", hint="at least two are needed"
-        )
+        what = f"comparison '{settings.name}' has {len(observations)} test(s)"
+        raise FitError(what, hint="at least two are needed")
     if settings.over:
-        observations.sort(
-            key=lambda entry: (entry.condition, *([entry.second] if settings.second else []), entry.group)
-        )
+        two = bool(settings.second)
+        observations.sort(key=lambda of: (of.condition, *([of.second] if two else []), of.group))
     return Campaign(settings, tuple(observations), unit, second_unit)
 
 
@@ -203,10 +197,8 @@ def _choose(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
     named = fits_named(settings.fit, fits)
     chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
     if not chosen:
-        raise ConfigError(
-            f"fit '{settings.fit}' has no term '{settings.term}'",
-            hint=nearest(settings.term, {f.term for f in named}),
-        )
+        what = f"fit '{settings.fit}' has no term '{settings.term}'"
+        raise ConfigError(what, hint=nearest(settings.term, {f.term for f in named}))
     check_single(chosen, "name one with `term`, or fit one band")
     return chosen
 

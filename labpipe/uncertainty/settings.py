@@ -28,8 +28,7 @@ def levels_of(values: FloatArray, tolerance: float) -> tuple[FloatArray, IntArra
     step = np.diff(values[order], prepend=values[order[:1]])
     number = np.empty(values.size, np.intp)
     number[order] = np.cumsum(step > tolerance * np.max(np.abs(values), initial=0.0))
-    levels = np.bincount(number, values) / np.bincount(number)
-    return levels, number
+    return np.bincount(number, values) / np.bincount(number), number
 
 
 # The parameters of one matrix of tests; *name* is its key under ``matrix:``.

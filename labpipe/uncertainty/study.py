@@ -148,9 +148,8 @@ def source_of(
     """The source of a virtual rig at a noise level; ConfigError for lines or runs that it does not have."""
     kind = kind_of(rig)
     if kind.response is None and kind.recordings is None:
-        raise ConfigError(
-            f"a {rig.kind} gives no frequency response", hint="studies repeat fits of frequency responses"
-        )
+        what = f"a {rig.kind} gives no frequency response"
+        raise ConfigError(what, hint="studies repeat fits of frequency responses")
     if lines is not None and kind.with_lines is None:
         raise ConfigError("'lines': the lines of this rig follow from its excitation", hint="leave it out")
     available = kind.runs(rig)
@@ -253,9 +252,8 @@ def summarise(
         what = f"the rig states no parameter of fit '{settings.name}'"
         raise ConfigError(what, hint=f"it states {listed(list(truth))}")
     errors = np.array([squared_error(outcome, names, truth, settings) for outcome in ended])
-    parameters = tuple(
-        _parameter(name, results, truth[name], bounds.get(name)) for name in _names(results, truth)
-    )
+    shown = _names(results, truth)
+    parameters = tuple(_parameter(name, results, truth[name], bounds.get(name)) for name in shown)
     ratios = [p.rmse / p.bound for p in parameters if p.bound is not None]
     coverages = [p.coverage for p in parameters if p.coverage is not None]
     return StudyCase(
@@ -304,9 +302,8 @@ def squared_error(outcome: Outcome, names: Sequence[str], truth: Truth, settings
 def _places(names: Sequence[str], settings: FitSettings) -> FloatArray:
     if not settings.symmetric:
         return np.ones(len(names))
-    return np.array(
-        [1.0 if len(parts := name.split("_")) != 3 or parts[1] == parts[2] else 2.0 for name in names]
-    )
+    places = [name.split("_") for name in names]
+    return np.array([1.0 if len(parts) != 3 or parts[1] == parts[2] else 2.0 for parts in places])
 
 
 def _names(outcomes: Sequence[Outcome], truth: Truth) -> list[str]:
@@ -316,13 +313,11 @@ def _names(outcomes: Sequence[Outcome], truth: Truth) -> list[str]:
 
 
 def _parameter(name: str, results: Sequence[Outcome], truth: float, bound: float | None) -> StudiedParameter:
-    estimates = [
-        parameter for outcome in results for parameter in outcome.parameters if parameter.name == name
-    ]
+    estimates = [p for outcome in results for p in outcome.parameters if p.name == name]
     # Without those that the other repeats eliminated.
-    values = np.array([parameter.value for parameter in estimates] + [0.0] * (len(results) - len(estimates)))
-    stated = [parameter.std_error for parameter in estimates if parameter.std_error is not None]
-    intervals = [parameter.ci95 for parameter in estimates if parameter.ci95 is not None]
+    values = np.array([p.value for p in estimates] + [0.0] * (len(results) - len(estimates)))
+    stated = [p.std_error for p in estimates if p.std_error is not None]
+    intervals = [p.ci95 for p in estimates if p.ci95 is not None]
     return StudiedParameter(
         name=name,
         unit=estimates[0].unit,

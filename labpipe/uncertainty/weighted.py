@@ -75,26 +75,22 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
     if not np.all((errors if errors.ndim == 1 else np.diag(errors)) > 0):
-        raise FitError(
-            "a value has no standard error, so tests cannot be weighted",
-            hint="a response without noise gives none",
-        )
+        what = "a value has no standard error, so tests cannot be weighted"
+        raise FitError(what, hint="a response without noise gives none")
     if not np.all(np.isfinite(values)):
         raise FitError("a value is no number, so tests cannot be weighted")
     design, whitened = _whiten(columns, errors), _whiten(values[:, None], errors)[:, 0]
     if np.linalg.matrix_rank(design) < columns.shape[1]:
-        raise FitError(
-            "the tests do not differ in the condition", hint="a trend needs at least two different values"
-        )
+        hint = "a trend needs at least two different values"
+        raise FitError("the tests do not differ in the condition", hint=hint)
     covariance = np.linalg.inv(design.T @ design)
     solved = covariance @ design.T @ whitened
     chi2 = float(np.sum((whitened - design @ solved) ** 2))
     dof = values.size - columns.shape[1]
     p_value = distributions.chi2_tail(chi2, dof) if dof else None
     inflated = p_value is not None and p_value < SCATTER_LEVEL
-    return WeightedFit(
-        solved, covariance * chi2 / dof if inflated else covariance, chi2, dof, p_value, inflated
-    )
+    enlarged = covariance * chi2 / dof if inflated else covariance
+    return WeightedFit(solved, enlarged, chi2, dof, p_value, inflated)
 
 
 def _whiten(columns: FloatArray, errors: FloatArray) -> FloatArray:
@@ -156,10 +152,8 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     _, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
     a, n = counts.size, values.size
     if a < 2 or n <= a:
-        raise FitError(
-            f"{n} test(s) in {a} setting(s) show no scatter within and between",
-            hint="repeat tests in two settings or more",
-        )
+        what = f"{n} test(s) in {a} setting(s) show no scatter within and between"
+        raise FitError(what, hint="repeat tests in two settings or more")
     means = np.bincount(group, values) / counts
     within_sum = float(np.sum((values - means[group]) ** 2))
     between_sum = float(np.sum(counts * (means - np.mean(values)) ** 2))
@@ -175,9 +169,8 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
         for q in (1 - TAIL, TAIL)
     ]
     low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
-    least, most = (
-        float(np.sqrt(within_sum / distributions.chi2_quantile(q, n - a))) for q in (1 - TAIL, TAIL)
-    )
+    quantiles = [distributions.chi2_quantile(q, n - a) for q in (1 - TAIL, TAIL)]
+    least, most = (float(np.sqrt(within_sum / quantile)) for quantile in quantiles)
     return Components(
         weights=1 / (a * counts[group]),
         mean=float(np.mean(means)),
@@ -201,9 +194,8 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
     error = float(np.hypot(scatter.mean_error, np.linalg.norm(campaign.common @ scatter.weights)))
     # Settings whose means are alike to the last digit leave nothing that was estimated from them.
     dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4 if scatter.mean_error > 0 else np.inf
-    return with_error(
-        "mean", campaign.unit, scatter.mean, error, distributions.coverage_factor(1 - 2 * TAIL, dof)
-    )
+    quantile = distributions.coverage_factor(1 - 2 * TAIL, dof)
+    return with_error("mean", campaign.unit, scatter.mean, error, quantile)
 
 
 def repeatability(campaign: Campaign) -> Comparison:
@@ -300,9 +292,8 @@ def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
-    return weighted_fit(
-        np.column_stack([np.ones_like(condition), condition - np.mean(condition)]), values, errors
-    )
+    columns = np.column_stack([np.ones_like(condition), condition - np.mean(condition)])
+    return weighted_fit(columns, values, errors)
 
 
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -326,8 +317,6 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
         weights = np.linalg.solve(covariance, np.ones(values.size - 1))
         shared = float(weights @ whole[others, n] / weights.sum())
         apart = (whole[n, n] - 2 * shared) * (rest.chi2 / rest.dof if rest.inflated else 1.0)
-        away = WeightedFit(
-            values[[n]] - rest.values, apart + rest.covariance, 0.0, rest.dof, None, rest.inflated
-        )
+        away = replace(rest, values=values[[n]] - rest.values, covariance=apart + rest.covariance)
         differences[n], chances[n] = away.values[0], away.p_of(0)
     return differences, chances

@@ -114,9 +114,10 @@ class Theory:
         return np.array(values).reshape(*np.shape(spin), 2, 2)
 
     def _point(self, bearing: Bearing, speed: float) -> BearingCoefficients:
-        if (id(bearing), speed) not in self._points:
-            self._points[id(bearing), speed] = bearing.at(OperatingPoint(self.load, speed, speed))
-        return self._points[id(bearing), speed]
+        key = id(bearing), speed
+        if key not in self._points:
+            self._points[key] = bearing.at(OperatingPoint(self.load, speed, speed))
+        return self._points[key]
 
     @cached_property
     def _controlled(self) -> dict[tuple[int, bytes], ComplexArray]:
@@ -435,13 +436,12 @@ class _Builder:
         for number, (disc, error) in enumerate(zip(rotor.discs, errors, strict=True), 1):
             y, z, about_y, about_z = range(4 * disc.node - 4, 4 * disc.node)
             mass = self.unknown(f"mass of disc {number}", error, nominal=disc.mass, nominal_unit="kg")
-            transverse, polar = (
-                (
-                    *mass,
-                    *self.unknown(f"{name} of disc {number}", self.small.inertia * bool(j), group="inertia"),
-                )
-                for name, j in (("J_t", disc.transverse_inertia), ("J_p", disc.polar_inertia))
-            )
+            moments = (("J_t", disc.transverse_inertia), ("J_p", disc.polar_inertia))
+            own = [
+                self.unknown(f"{name} of disc {number}", self.small.inertia * bool(j), group="inertia")
+                for name, j in moments
+            ]
+            transverse, polar = ((*mass, *factor) for factor in own)
             self.add("mass", (y, z), disc.mass * np.eye(2), mass)
             self.add("mass", (about_y, about_z), disc.transverse_inertia * np.eye(2), transverse)
             turning = disc.polar_inertia * np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -498,9 +498,7 @@ class _Builder:
                     numbers[shown] = self._with_running(f"{name} {shown}", error, value, unit, linear)
                 factors, amount = numbers[shown]
                 entry = np.zeros((2, 2))
-                entry[row, column] = value
-                if amount:
-                    entry[row, column] = -1.0 if turning and row else 1.0
+                entry[row, column] = (-1.0 if turning and row else 1.0) if amount else value
                 block = spread * np.tile(entry, (len(dofs) // 2,) * 2)
                 acting = partial(_turning, block) if turning else block
                 self.add(matrix, dofs, acting, factors, support=True, **amount)
@@ -511,12 +509,9 @@ class _Builder:
         """The factors of a coefficient, and its amount where it is *linear*."""
         if linear:
             numbers = self.unknown(name, error, value, unit=unit)
-        else:
-            numbers = self.unknown(name, error, nominal=value, nominal_unit=unit)
-        factors = self._running(name)
-        if linear and numbers:
-            return factors, {"amount": numbers[0]}
-        return (*numbers, *factors), {}
+            return self._running(name), {"amount": numbers[0]} if numbers else {}
+        numbers = self.unknown(name, error, nominal=value, nominal_unit=unit)
+        return (*numbers, *self._running(name)), {}
 
     def _running(self, name: str) -> tuple[int, ...]:
         """Of a coefficient "left k_yy" or "left k": what changes it between rest and speed, by itself and
@@ -528,17 +523,13 @@ class _Builder:
     def _source(self, name: str, stated: Uncertainty, value: float) -> int:
         """The number of what errs by a *stated* uncertainty; a new one where its source is new."""
         if stated.source not in self.sources:
-            (self.sources[stated.source],) = self.unknown(
-                name, stated.std_error, value, unit=stated.unit or "1"
-            )
+            unit = stated.unit or "1"
+            (self.sources[stated.source],) = self.unknown(name, stated.std_error, value, unit=unit)
         return self.sources[stated.source]
 
     def _theory(self, place: BearingPlace, dofs: tuple[int, ...], spread: FloatArray) -> None:
-        """The coefficients of a bearing model over speed and frequency with its uncertain inputs."""
-        inputs = tuple(
-            self._source(entry.uncertainty.source.replace(": ", " "), entry.uncertainty, entry.value)
-            for entry in place.uncertainties
-        )
+        stated = ((entry.uncertainty, entry.value) for entry in place.uncertainties)
+        inputs = tuple(self._source(of.source.replace(": ", " "), of, value) for of, value in stated)
         scales = np.array([(self.unknowns[n].mean, self.unknowns[n].error) for n in inputs]).reshape(-1, 2)
         theory = Theory(place, self.system.rig.static_loads()[place.name], scales)
         for matrix, letter in (("stiffness", "k"), ("damping", "c")):
@@ -547,5 +538,4 @@ class _Builder:
 
 
 def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:
-    """A block (k, k) that acts while the rotor turns, (..., k, k)."""
     return np.asarray(block * (np.asarray(spin) != 0)[..., None, None])

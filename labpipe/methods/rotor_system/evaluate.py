@@ -81,12 +81,8 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
             if test.kind == RESPONSE and not test.free and test.has_modes
             for frequency in free_modes_of(test, work).frequency
         )
-        return replace(
-            result,
-            balance=predictions.balance(settings, built, posterior),
-            measured=tuple(measured),
-            findings=(*result.findings, *out_of_place),
-        )
+        weights, found = predictions.balance(settings, built, posterior), (*result.findings, *out_of_place)
+        return replace(result, balance=weights, measured=tuple(measured), findings=found)
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
         raise
@@ -214,15 +210,12 @@ def free_modes_of(test: SystemTest, work: Work) -> evidence.FreeModes:
         modes = fit.detail(Modes)
         assert modes is not None
         # By the interval: it holds the model error as well.
-        errors = {
-            parameter.name: (parameter.ci95[1] - parameter.ci95[0]) / (2 * NORMAL)
-            for parameter in fit.parameters
-            if parameter.ci95 is not None
-        }
+        intervals = {p.name: p.ci95 for p in fit.parameters if p.ci95 is not None}
+        errors = {name: (high - low) / (2 * NORMAL) for name, (low, high) in intervals.items()}
         frequency, damping = np.array(modes.frequency), np.array(modes.damping_ratio)
+        modes_of = range(1, frequency.size + 1)
         f_error, d_error = (
-            np.array([errors.get(f"{name}_{mode}", np.nan) for mode in range(1, frequency.size + 1)])
-            for name in ("f_n", "zeta")
+            np.array([errors.get(f"{name}_{n}", np.nan) for n in modes_of]) for name in ("f_n", "zeta")
         )
         damping = np.where(np.isfinite(d_error), damping, np.nan)
         if not np.all(np.isfinite(f_error)):
@@ -313,7 +306,6 @@ def _interlacing(settings: RotorSystemSettings, system: build.RotorSystem, work:
 
 
 def _check_places(test: SystemTest, names: Sequence[str]) -> None:
-    """ConfigError for an entry of `places` that is of no dof or plane."""
     for name in test.read_places:
         if name not in names:
             what = f"test '{test.name}': places: no dof or plane '{name}'"
@@ -487,13 +479,11 @@ def findings_of(posterior: SystemPosterior) -> Iterator[Finding]:
         )
     explained = explanations(posterior)
     if any(explanation.fall > TELLING and explanation.test for explanation in explained):
-        yield Finding(
-            "tests-disagree", "tests of one rotor disagree: " + explained_text(posterior, explained)
-        )
+        text = f"tests of one rotor disagree: {explained_text(posterior, explained)}"
+        yield Finding("tests-disagree", text)
     for name, z in posterior.contradicted:
-        yield Finding(
-            "stated-value", f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
-        )
+        text = f"the tests contradict the declared {name}, by {abs(z):.1f} of its uncertainties"
+        yield Finding("stated-value", text)
     yield from _notes(posterior)
 
 
@@ -564,7 +554,6 @@ def _next_tests(
             nearer = test.planned(speed, np.median(test.noise, axis=1))
             candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = nearer
     spreads = {name: posterior.covariance_with(test) for name, test in candidates.items()}
-    return {
-        name: posterior.widened * float(np.sqrt(gradient @ spread @ gradient))
-        for name, spread in ({"as it is": posterior.covariance} | spreads).items()
-    }
+    spreads = {"as it is": posterior.covariance} | spreads
+    roots = {name: float(np.sqrt(gradient @ spread @ gradient)) for name, spread in spreads.items()}
+    return {name: posterior.widened * root for name, root in roots.items()}

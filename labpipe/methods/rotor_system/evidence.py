@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 from scipy import linalg
@@ -35,8 +35,14 @@ class SystemEvidence(Evidence[SystemModel], Protocol):
         ...
 
 
+class _RobustTest:
+    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Self:  # noqa: ARG002
+        """The test itself at any *values* (n_unknown,) [SI units]: it leads on from a poor start."""
+        return self
+
+
 @dataclass(frozen=True)
-class FreeModes:
+class FreeModes(_RobustTest):
     """Bending modes of the free rotor at rest, numbered from 1: ln *frequency* (n_mode,) [Hz] with their
     standard *frequency_error*, and the same of their damping ratios, NaN where one is not known.
     """
@@ -76,10 +82,6 @@ class FreeModes:
         error = np.concatenate([self.frequency_error, self.damping_error])
         there = np.isfinite(measured)
         return ((measured - ln) / error)[there], lambda: (-slopes / error[:, None])[there]
-
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> FreeModes:  # noqa: ARG002
-        """At *values* (n_unknown,) [SI units], see Evidence."""
-        return self
 
 
 def out_of_order(
@@ -281,7 +283,7 @@ class RunUpVectors:
 
     def loosened(self, model: SystemModel, values: FloatArray, share: float) -> RunUpVectors:
         """At *values* (n_unknown,) [SI units], see Evidence."""
-        vectors, _, _ = self.readings(model, values)
+        vectors = self.readings(model, values)[0]
         error = np.hypot(self.noise, share * np.maximum(np.abs(self.measured), np.abs(vectors)).T)
         return replace(self, whitener=np.eye(self.speed.size) / error[:, :, None])
 
@@ -297,7 +299,7 @@ def run_up_whitener(noise: FloatArray, slow_roll: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Deflections:
+class Deflections(_RobustTest):
     """Static flexibility *measured* (n_output, n_input) [m/N] between dofs, with its standard *error*, and
     where it was weighed ln *mass* [kg] of the rotor with its error; NaN where nothing was measured.
     """
@@ -331,7 +333,3 @@ class Deflections:
             parts.append(((self.mass - np.log([mass])) / self.mass_error, -moved[None] / self.mass_error))
         residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))
         return residual, lambda: jacobian * model.acting(self.name)
-
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Deflections:  # noqa: ARG002
-        """At *values* (n_unknown,) [SI units], see Evidence."""
-        return self

@@ -160,6 +160,10 @@ class SystemModel:
     def number(self, name: str) -> int:
         return [unknown.name for unknown in self.unknowns].index(name)
 
+    def in_group(self, group: str) -> BoolArray:
+        """Which unknowns are small errors of a *group*, or of none, "", (n_unknown,)."""
+        return np.array([unknown.group == group for unknown in self.unknowns])
+
     def acting(self, test: str) -> BoolArray:
         """Which unknowns act in a test, (n_unknown,)."""
         return np.array([not unknown.tests or test in unknown.tests for unknown in self.unknowns])
@@ -189,10 +193,8 @@ class SystemModel:
             if not callable(term.block):
                 row = (number, term.dofs, term.block, *POWERS[term.matrix], term.support)
                 by_size.setdefault(len(term.dofs), []).append(row)
-        return tuple(
-            _Stack(*(np.array(column) for column in zip(*by_size[size], strict=True)))
-            for size in sorted(by_size)
-        )
+        stacks = (zip(*by_size[size], strict=True) for size in sorted(by_size))
+        return tuple(_Stack(*map(np.array, columns)) for columns in stacks)
 
     def _curve(self, supported: bool) -> Iterator[tuple[int, Term]]:
         return (
@@ -213,9 +215,8 @@ class SystemModel:
                     shape = (len(term.dofs),) * 2
                     couples = np.ones(shape, bool) if callable(term.block) else term.block != 0
                     coupled[np.ix_(term.dofs, term.dofs)] |= couples
-            number, of_dof = scipy.sparse.csgraph.connected_components(
-                scipy.sparse.csr_array(coupled), directed=False
-            )
+            graph = scipy.sparse.csr_array(coupled)
+            number, of_dof = scipy.sparse.csgraph.connected_components(graph, directed=False)
             parts = (np.flatnonzero(of_dof == n) for n in range(number))
             self._known_parts[key] = tuple(part for part in parts if coupled[part].any())
         return self._known_parts[key]
@@ -292,9 +293,8 @@ class SystemModel:
                 if at.size:
                     order = np.searchsorted(part, term.dofs)
                     added = weights[number] * term.at(turn, w, values)
-                    whole[:, order[:, None], order] += (
-                        added * ((1j * w) ** power * turn**turns)[:, None, None]
-                    )
+                    factor = (1j * w) ** power * turn**turns
+                    whole[:, order[:, None], order] += added * factor[:, None, None]
             blocks.append(whole)
         return blocks
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 
 import numpy as np
 import scipy
@@ -130,11 +130,8 @@ class SystemPosterior(Posterior[SystemModel]):
     def contradicted(self) -> list[tuple[str, float]]:
         """Unknowns with a declared prior that is more than 3 of its standard uncertainties off."""
         z = (self.values - self.model.means) / self.model.errors
-        return [
-            (unknown.name, float(off))
-            for unknown, off in zip(self.model.unknowns, z, strict=True)
-            if abs(off) > 3 and not unknown.group
-        ]
+        unknowns = zip(self.model.unknowns, z, strict=True)
+        return [(of.name, float(off)) for of, off in unknowns if abs(off) > 3 and not of.group]
 
     def gradient_error(self, gradient: FloatArray) -> FloatArray:
         """Standard errors (...,) [unit of the prediction] of predictions with *gradient* (..., n_unknown)."""
@@ -172,7 +169,7 @@ def fit_system(
     whole = np.ones(model.means.size, dtype=bool)
     problem = SystemProblem(model, tuple(tests), model.means, model.errors, whole, model.means)
     values = _begin(problem)
-    single = np.array([not unknown.group for unknown in model.unknowns])
+    single = model.in_group("")
     sizes = dict(model.groups)
     for _ in range(ROUNDS if estimate_sizes else 1):
         values = _descend(problem, values)
@@ -180,7 +177,7 @@ def fit_system(
         if estimate_sizes:
             spread = np.diag(SystemPosterior(problem=problem, values=values, sizes=sizes).covariance)
             for group, declared in model.groups.items():
-                members = np.array([unknown.group == group for unknown in model.unknowns])
+                members = model.in_group(group)
                 amount = float(np.sum(off[members] ** 2 + spread[members]))
                 size = np.sqrt((amount + 2 * declared**2) / (members.sum() + 2))
                 sizes[group] = float(np.clip(size, declared, MOST_SIZE * declared))
@@ -239,9 +236,8 @@ def _start(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray
 
 
 def _loosened(problem: SystemProblem, values: FloatArray, share: float) -> SystemProblem:
-    return replace(
-        problem, tests=tuple(test.loosened(problem.model, values, share) for test in problem.tests)
-    )
+    tests = tuple(test.loosened(problem.model, values, share) for test in problem.tests)
+    return replace(problem, tests=tests)
 
 
 def _temper(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray:
@@ -266,14 +262,13 @@ def pulls(posterior: SystemPosterior) -> list[Pull]:
     residual r_t, is N(0, V_-t - V) where all is well (Hausman 1978). Equation (system-pull).
     """
     model, all_pulls = posterior.model, []
-    information = np.linalg.inv(posterior.covariance)
+    information, single = np.linalg.inv(posterior.covariance), model.in_group("")
     for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
         without = np.linalg.inv(information - jacobian.T @ jacobian)
         shift = without @ jacobian.T @ residual
         change = without - posterior.covariance
         spread = np.sqrt(np.maximum(np.diag(change), 1e-30))
         # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
-        single = np.array([not unknown.group for unknown in model.unknowns])
         z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
         worst = int(np.argmax(np.abs(z)))
         wider = np.sqrt(np.diag(without) / np.diag(posterior.covariance))
@@ -308,11 +303,8 @@ def explanations(posterior: SystemPosterior) -> list[Explanation]:
     def least(errors: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         prior = errors**-2.0
         covariance, gradient = np.linalg.inv(data + np.diag(prior)), pull + prior * off
-        return (
-            covariance,
-            covariance @ gradient,
-            float(off @ (prior * off) - gradient @ covariance @ gradient),
-        )
+        step = covariance @ gradient
+        return covariance, step, float(off @ (prior * off) - gradient @ covariance @ gradient)
 
     covariance, step, chi2 = least(model.errors)
     best: dict[str, Explanation] = {}
@@ -328,14 +320,11 @@ def explanations(posterior: SystemPosterior) -> list[Explanation]:
             moved = change * (1 - float(covariance[number] @ square[:, number])) - float(step[number])
             value = float(posterior.values[number]) + moved
             new = Explanation(change**2 * float(content[number]), value, test.name, number)
-            best[unknown.name] = max(
-                best.get(unknown.name, new), new, key=lambda explanation: explanation.fall
-            )
+            best[unknown.name] = max(best.get(unknown.name, new), new, key=attrgetter("fall"))
     for group, ratio in posterior.enlarged.items():
-        of_group = np.array([unknown.group == group for unknown in model.unknowns])
-        larger = least(np.where(of_group, ratio, 1.0) * model.errors)[2]
+        larger = least(np.where(model.in_group(group), ratio, 1.0) * model.errors)[2]
         best[group] = Explanation(chi2 - larger, ratio, group=group)
-    return sorted(best.values(), key=lambda explanation: -explanation.fall)
+    return sorted(best.values(), key=attrgetter("fall"), reverse=True)
 
 
 def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]:
@@ -359,13 +348,10 @@ def common_changes(posterior: SystemPosterior) -> dict[str, float]:
     bearings at speed against rest: (1 / u^2 - 1 / u_0^2)^-1/2 of their mean, u_0 as declared [1]. Nothing
     where one error of all is an unknown, and where no bearing has such errors.
     """
-    unknowns = posterior.model.unknowns
-    changes = {}
+    unknowns, changes = posterior.model.unknowns, dict[str, float]()
+    letters = np.array([u.name.removesuffix(" running").rpartition(" ")[2][:1] for u in unknowns])
     for what, letter in (("stiffness", "k"), ("damping", "c")):
-        letters = [u.name.removesuffix(" running").rpartition(" ")[2] for u in unknowns]
-        alike = np.array(
-            [u.group == "bearings" and n[0] == letter for u, n in zip(unknowns, letters, strict=True)]
-        )
+        alike = posterior.model.in_group("bearings") & (letters == letter)
         if not alike.any() or any(u.name.startswith("all bearings") for u in unknowns):
             continue
         mean = alike / alike.sum()

@@ -58,14 +58,10 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell
         shaft = solution.shapes[: model.n_shaft].reshape(-1, 4, solution.values.size)
         each.append(Modes(float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
         slopes = np.where(model.acting(RUNNING), solution.slopes, 0.0)
-        errors = (
-            w * posterior.gradient_error(s) for s in (slopes.imag, decrement_slopes(solution.values, slopes))
-        )
-        f_error, d_error = errors
-        frequency = solution.values.imag / (2 * np.pi)
-        amounts.append(
-            (frequency, f_error / (2 * np.pi), decrements(solution.values), d_error, each[-1].whirl)
-        )
+        f_error = w * posterior.gradient_error(slopes.imag) / (2 * np.pi)
+        d_error = w * posterior.gradient_error(decrement_slopes(solution.values, slopes))
+        frequency, decrement = solution.values.imag / (2 * np.pi), decrements(solution.values)
+        amounts.append((frequency, f_error, decrement, d_error, each[-1].whirl))
     return records.Campbell(np.asarray(speeds), *followed(each, amounts))
 
 
@@ -88,9 +84,8 @@ def decrement_slopes(root: ComplexArray, slopes: ComplexArray) -> FloatArray:
     """Derivatives (n_mode, n_unknown) of the decrements of eigenvalues (n_mode,) [1/s] by *slopes* of these
     (n_mode, n_unknown).
     """
-    return np.asarray(
-        -(2 * np.pi * slopes.real + decrements(root)[:, None] * slopes.imag) / root.imag[:, None]
-    )
+    moved = 2 * np.pi * slopes.real + decrements(root)[:, None] * slopes.imag
+    return np.asarray(-moved / root.imag[:, None])
 
 
 def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | None:
@@ -144,9 +139,9 @@ class _Reduced:
         static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
         self.basis = orthonormal(np.column_stack([vectors, static]), 1e-8)
         n_shape = self.basis.shape[1]
+        dofs = tuple(range(n_shape))
         terms = tuple(
-            replace(term, dofs=tuple(range(n_shape)), block=self._project(term.block, list(term.dofs)))
-            for term in model.terms
+            replace(term, dofs=dofs, block=self._project(term.block, list(term.dofs))) for term in model.terms
         )
         self.model = SystemModel(model.unknowns, terms, n_shape, 0)
 
@@ -214,10 +209,8 @@ def critical_speeds(
     speeds = np.log([peak.speed for peak in distinct])
     # A peak of a draw is the same one where it is nearer to it than to any other.
     rooms = [min([*(abs(at - other) / 2 for other in speeds if other != at), AROUND]) for at in speeds]
-    criticals = [
-        _critical(reduced, built, peak, draws, operating, room)
-        for peak, room in zip(distinct, rooms, strict=True)
-    ]
+    found = zip(distinct, rooms, strict=True)
+    criticals = (_critical(reduced, built, peak, draws, operating, room) for peak, room in found)
     return sorted(criticals, key=lambda critical: critical.speed)
 
 
@@ -238,7 +231,7 @@ def _critical(
     margins = [row.margin(operating) for row in whole] if operating else []
     asked = [margin for margin in margins if margin is not None and margin[1] > 0]
     return records.CriticalResult(
-        f"{peak.node // 4 + 1} {'yz'[peak.node % 4]}",
+        _place(peak.node),
         peak.speed,
         _interval(peak.speed, np.array([row.speed for row in there])),
         peak.amplification,
@@ -251,6 +244,10 @@ def _critical(
     )
 
 
+def _place(dof: int) -> str:
+    return f"{dof // 4 + 1} {'yz'[dof % 4]}"
+
+
 def _drawn_peaks(
     reduced: _Reduced, built: Built, peak: Critical, draws: FloatArray, looked: tuple[float, float, float]
 ) -> list[Critical | None]:
@@ -259,12 +256,16 @@ def _drawn_peaks(
     """
     half, step, apart = looked
     grid = peak.speed * np.exp(np.arange(-half, half + step, step))
+
+    def distance(other: Critical) -> float:
+        return abs(float(np.log(other.speed / peak.speed)))
+
     rows: list[Critical | None] = []
     for values in draws:
         amplitude = reduced.at(at_speed(reduced.model, values), unbalance_forces(built, values), peak.node)
         drawn = peaks(grid, amplitude(grid), peak.node, amplitude)
-        near = [other for other in drawn if abs(np.log(other.speed / peak.speed)) < apart]
-        rows.append(min(near, key=lambda other: abs(np.log(other.speed / peak.speed))) if near else None)
+        near = (other for other in drawn if distance(other) < apart)
+        rows.append(min(near, key=distance, default=None))
     return rows
 
 
@@ -337,15 +338,10 @@ def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVector
         return as_real(drawn_influence(built, test, values[None]).ravel())
 
     middle = posterior.values
-    root = [
-        posterior.widened * (parts(middle + step) - parts(middle - step)) / 2
-        for step in root_of(posterior.spread).T
-    ]
-    readings = tuple(
-        f"{dof // 4 + 1} {'yz'[dof % 4]} {speed * 30 / np.pi:.0f} rpm"
-        for speed in test.speed
-        for dof in test.outputs
-    )
+    axes = root_of(posterior.spread).T
+    root = [posterior.widened * (parts(middle + step) - parts(middle - step)) / 2 for step in axes]
+    turned = [f"{speed * 30 / np.pi:.0f} rpm" for speed in test.speed]
+    readings = tuple(f"{_place(dof)} {rpm}" for rpm in turned for dof in test.outputs)
     planes = tuple(f"node {node}" for node in built.planes)
     return records.InfluenceResult(planes, readings, parts(middle), np.array(root).T, posterior.widened)
 
@@ -364,8 +360,7 @@ def drawn_influence(built: Built, test: RunUpVectors, draws: FloatArray) -> Comp
     """
     influences = []
     for values in draws:
-        _, _, influence = test.readings(built.model, values)
-        h = influence.reshape(-1, len(built.planes))
+        h = test.readings(built.model, values)[2].reshape(-1, len(built.planes))
         u = np.array([values[real] + 1j * values[imaginary] for _, real, imaginary in built.planes.values()])
         influences.append(np.column_stack([h @ u, h]))
     return np.array(influences)
@@ -384,8 +379,7 @@ def _next_weights(
     by_run = {}
     for name, weights_of_run in sets.items():
         added = tuple((built.planes[node][0], amount) for node, amount in weights_of_run.items())
-        run = test.planned(test.speed, noise, added)
-        covariance = posterior.covariance_with(run)
+        covariance = posterior.covariance_with(test.planned(test.speed, noise, added))
         drawn = drawn_influence(built, test, normal_draws(posterior.values, covariance, LOOKED))
         left = rms_left(drawn, best_weights(square_of(drawn)))
         by_run[name] = float(np.sqrt(np.mean(left**2)))

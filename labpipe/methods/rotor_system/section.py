@@ -203,8 +203,7 @@ def prediction_table(result: RotorSystemResult) -> Table:
         margin, ends = "", _ends(critical.speed_interval, RPM, ".0f")
         if critical.margin is not None and critical.met is not None:
             there, asked = critical.margin
-            sure = f"probability {100 * critical.met:.0f} %, {decision(critical.met)}"
-            margin = f"margin {there:.1f} %, {asked:.1f} % asked for: {sure}"
+            margin = f"margin {there:.1f} %, {asked:.1f} % asked for: {_sure(critical.met)}"
         place = f"critical speed, at {critical.place} [rpm]"
         rows.append((place, f"{RPM * critical.speed:.0f}", ends, margin))
         if critical.amplification is not None and critical.amplification_interval is not None:
@@ -214,7 +213,7 @@ def prediction_table(result: RotorSystemResult) -> Table:
         rows.append(("amplitude there [um]", f"{UM * critical.amplitude:.3g}", ends, ""))
     least, error, probability = result.decrement
     ends = _ends((least - NORMAL * error, least + NORMAL * error))
-    limit = f"above {LEAST_DECREMENT:g}: probability {100 * probability:.0f} %, {decision(probability)}"
+    limit = f"above {LEAST_DECREMENT:g}: {_sure(probability)}"
     rows.append((f"least log decrement at {RPM * result.operating:.0f} rpm", f"{least:.3g}", ends, limit))
     if result.onset is not None:
         speed, spread = RPM * result.onset[0], NORMAL * result.onset[1]
@@ -222,6 +221,10 @@ def prediction_table(result: RotorSystemResult) -> Table:
         rows.append(("onset of instability [rpm]", f"{speed:.0f}", ends, ""))
     header = ("prediction", "value", "95 %", "asked for")
     return Table(header, tuple(rows), "What follows for the rotor", (1,))
+
+
+def _sure(probability: float) -> str:
+    return f"probability {100 * probability:.0f} %, {decision(probability)}"
 
 
 def _text(value: float, error: float, unit: str) -> str:
@@ -243,9 +246,8 @@ def unknown_table(result: RotorSystemResult) -> Table:
         if not unknown.group
     )
     header = ("unknown", "all tests", "declared", "error left", "without this test larger by")
-    return Table(
-        header, rows, "Unknowns with standard uncertainties, and the share of the declared one", (3,)
-    )
+    words = "Unknowns with standard uncertainties, and the share of the declared one"
+    return Table(header, rows, words, (3,))
 
 
 def budget_table(result: RotorSystemResult) -> Table:
@@ -272,10 +274,8 @@ def test_table(result: RotorSystemResult) -> Table:
 
 def small_error_table(result: RotorSystemResult) -> Table:
     """Sizes of the small errors that are everywhere."""
-    rows = tuple(
-        (error.name.replace("_", " "), number(error.declared, 3), number(error.found, 3))
-        for error in result.small_errors
-    )
+    small = ((error.name.replace("_", " "), error) for error in result.small_errors)
+    rows = tuple((name, number(error.declared, 3), number(error.found, 3)) for name, error in small)
     return Table(("small errors of", "declared", "found"), rows, "Standard deviations", (1, 2))
 
 
@@ -303,9 +303,8 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
 
     def modes(values: FloatArray, errors: FloatArray) -> list[Series]:
         low, high = values - NORMAL * errors, values + NORMAL * errors
-        return [
-            curve(f"mode {n + 1}", speed, values[:, n], n % 6, band=(low[:, n], high[:, n])) for n in shown
-        ]
+        bands = [(low[:, n], high[:, n]) for n in range(values.shape[1])]
+        return [curve(f"mode {n + 1}", speed, values[:, n], n % 6, band=bands[n]) for n in shown]
 
     frequencies = modes(diagram.frequency, diagram.frequency_error)
     frequencies.append(curve("1x", speed, diagram.speed, -1, "--"))
@@ -329,9 +328,8 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
         "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed; "
         "squares: what tests in the bearings measured."
     )
-    return Figure(
-        stack(panels, 5.6), caption, "Natural frequencies and log decrements over speed, with bands"
-    )
+    words = "Natural frequencies and log decrements over speed, with bands"
+    return Figure(stack(panels, 5.6), caption, words)
 
 
 def unknown_figure(result: RotorSystemResult) -> Figure:

@@ -29,9 +29,8 @@ def place_of(text: str, directed: bool = True) -> tuple[int, str]:
     """Node and direction of `3 y`; of `3` alone where it is not *directed*. UnitError for anything else."""
     match = _PLACE.match(text)
     if match is None or bool(match["direction"]) != directed:
-        raise UnitError(
-            f"'{text}' is no place on the rotor", "write 3 y" if directed else "write 3, the node"
-        )
+        hint = "write 3 y" if directed else "write 3, the node"
+        raise UnitError(f"'{text}' is no place on the rotor", hint)
     return int(match["node"]), match["direction"] or ""
 
 

@@ -226,13 +226,10 @@ def _system(
         return error or (ESTIMATED[name] if name in estimated else 0.0)
 
     usual = [free(name, 0.0) for name in ("stiffness", "damping", "cross-coupling")]
-    young = {
-        material: free("young", _relative(taken["materials"].get(material.name)))
-        for material in {element.material for element in rig.rotor.elements}
-    }
-    masses = tuple(
-        free("masses", _relative(taken["discs"].get(str(n)))) for n in range(1, len(rig.rotor.discs) + 1)
-    )
+    materials = {element.material for element in rig.rotor.elements}
+    young = {of: free("young", _relative(taken["materials"].get(of.name))) for of in materials}
+    discs = [taken["discs"].get(str(n)) for n in range(1, len(rig.rotor.discs) + 1)]
+    masses = tuple(free("masses", _relative(mass)) for mass in discs)
     unbalances: dict[int, tuple[complex, float]] = {}
     for n, part in enumerate(rig.unbalances, 1):
         error = free("unbalance", taken["unbalances"].get(str(n), Uncertain(0.0)).std_error)

@@ -118,9 +118,8 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     """Random-phase multisine at one node in y or z; free on strings, or in the bearings."""
     rig, model, lines = world.rig, world.built.model, world.rig.lines
     if name != FREE and any(place.is_film for place in world.system.rig.bearings):
-        raise ConfigError(
-            f"the rotor rests in run '{name}', where no oil film carries it", hint=f"--run {FREE}"
-        )
+        what = f"the rotor rests in run '{name}', where no oil film carries it"
+        raise ConfigError(what, hint=f"--run {FREE}")
     n = round(rig.sample_rate / rig.spacing)
     force = rig.amplitude * np.exp(2j * np.pi * rng.random(lines.size))
     outputs = world.dofs(rig.accelerations)
