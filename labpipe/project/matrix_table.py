@@ -19,6 +19,7 @@ from labpipe.records.identification import Fit, Identification
 
 # Coefficients of a rotor code by our names.
 AXES = ("xx", "xy", "yx", "yy")
+# Coefficients of a rotor code by our names.
 ROTOR_NAMES = {f"{letter}_{axes}": f"{letter}{axes}" for letter in "kc" for axes in AXES}
 # Whirl frequencies of a rotor table where the fit's band does not give them.
 N_WHIRL = 9
