@@ -1,6 +1,4 @@
-"""Comparisons of control loops with a magnetic-bearing file: prediction over sliding bands, sensitivity,
-certificate.
-"""
+"""Comparisons of control loops with a magnetic-bearing file: prediction, sensitivity, certificate."""
 
 from __future__ import annotations
 

@@ -82,9 +82,7 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 def state_space(
     model: balance.MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
-    currents.
-    """
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under currents."""
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
@@ -276,15 +274,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *spectra.findings,
     )
     curve = draw(rotor, best)
-    plants: tuple[RobustPlant, ...] = ()
-    if curve is not None:
-        plants = (robust_plant(best, curve, spectra.covariance_dof, own.band_confidence),)
+    dof, confidence = spectra.covariance_dof, own.band_confidence
     return replace(
         fit,
         findings=findings,
         notes=fit_notes(rotor, best, parameters, settings.uncertainties),
         curve=curve,
-        details=plants,
+        details=() if curve is None else (robust_plant(best, curve, dof, confidence),),
         budget=budget if best.converged else None,
         discrepancy=error.discrepancy,
     )
@@ -333,9 +329,7 @@ LEAST_LINES = 4
 
 @dataclass(frozen=True)
 class Block:
-    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and
-    ln zeta.
-    """
+    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau times the highest line, ln f, ln zeta."""
 
     order: int
     sign: float
@@ -421,8 +415,8 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
         if not pairs:
             raise FitError("no block can be determined by these lines", hint="widen the band")
         pairs.sort(key=lambda pair: pair[0].bic or 0.0)
-        candidates = tuple(candidate for candidate, _ in pairs) if auto else ()
-        fits.append(_report(measured, response, settings, *pairs[0][1], candidates))
+        fit = _report(measured, response, settings, *pairs[0])
+        fits.append(replace(fit, candidates=tuple(candidate for candidate, _ in pairs)) if auto else fit)
     return tuple(fits)
 
 
@@ -458,11 +452,10 @@ def _report(
     measured: Measured,
     response: FrequencyResponse,
     settings: FitSettings,
-    problem: _Problem,
-    minimum: Minimum,
-    candidates: Sequence[Candidate],
+    best: Candidate,
+    end: tuple[_Problem, Minimum],
 ) -> Fit:
-    best = _candidate(measured, problem, minimum)
+    problem, minimum = end
     jacobian = problem.jacobian(minimum.values)
     inflation = weight_uncertainty(measured, best.dof).inflation
     assert best.chi2_p is not None
@@ -486,13 +479,10 @@ def _report(
         converged=True,
         iterations=minimum.steps,
     )
-    mismatch = []
-    if factor > 1:
-        excess = (
-            f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
-            "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
-        )
-        mismatch = [Finding("model-mismatch", excess)]
+    excess = (
+        f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
+        "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
+    )
     frequency = measured.omega / (2 * np.pi)
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
@@ -501,10 +491,9 @@ def _report(
         findings=(
             *estimate_findings(as_estimate, names, frequency.size),
             *goodness_findings(gof),
-            *mismatch,
+            *([Finding("model-mismatch", excess)] if factor > 1 else []),
             *response.findings,
         ),
-        candidates=tuple(candidates),
         curve=FittedCurve(
             frequency,
             measured.matrix,

@@ -229,7 +229,7 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
     directions = np.eye(len(AXES[rig.axes]))
     if rig.rotor is None:
         masses, gyroscopic, stiffnesses, own_damping = [rig.mass], [0.0], [0.0], [0.0]
-        shapes: tuple[FloatArray, FloatArray, FloatArray] = np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))
+        shapes: list[FloatArray] = [np.ones((1, 1))] * 3
     else:
         masses, gyroscopic, stiffnesses, own_damping = _inertias(rig.mass, rig.rotor)
         shapes = _shapes(rig.rotor, rig.unbalance_place)
@@ -248,33 +248,27 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
     )
 
 
-def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
-    rigid = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
+def _inertias(mass: float, rotor: LongRotor) -> list[list[float]]:
+    rigid = [[mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]]
     if rotor.bending is None:
         return rigid
     natural = 2 * np.pi * rotor.bending.frequency
     of_mode = 1.0, 0.0, natural**2, 2 * rotor.bending.damping_ratio * natural
-    masses, gyroscopic, stiffnesses, damping = (
-        [*both, own] for both, own in zip(rigid, of_mode, strict=True)
-    )
-    return masses, gyroscopic, stiffnesses, damping
+    return [[*both, own] for both, own in zip(rigid, of_mode, strict=True)]
 
 
-def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _shapes(rotor: LongRotor, unbalance: float) -> list[FloatArray]:
     """Displacement in one plane per coordinate at bearings and sensors (2, n) and at the unbalance (1, n)."""
-    places = [np.array(rotor.bearings), np.array(rotor.sensors), np.array([unbalance])]
-    rigid = [np.column_stack([np.ones_like(place), place]) for place in places]
+    places = [rotor.bearings, rotor.sensors, (unbalance,)]
+    rigid = [np.column_stack([np.ones(len(place)), place]) for place in places]
     if rotor.bending is None:
-        return rigid[0], rigid[1], rigid[2]
+        return rigid
     bending = [rotor.bending.at_bearings, rotor.bending.at_sensors, (rotor.bending.at_unbalance,)]
-    bent = [np.column_stack([shape, np.array(values)]) for shape, values in zip(rigid, bending, strict=True)]
-    return bent[0], bent[1], bent[2]
+    return [np.column_stack([shape, values]) for shape, values in zip(rigid, bending, strict=True)]
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
-    y.
-    """
+    """Stiffness of the bearings without currents (n_axis, n_axis) [N/m]: k_s, and what couples x with y."""
     direct = -rig.negative_stiffness * np.eye(len(rig.labels))
     if rig.axes == "x":
         return direct
@@ -352,8 +346,7 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
 
     def advance(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         motion, memory, waiting = np.split(state, [n_plant, n_plant + 2 * n_axis])
-        forces, others = inputs[: 2 * n_q], inputs[2 * n_q :].reshape(3, n_axis)
-        seen, added_in, added_out = others
+        forces, (seen, added_in, added_out) = inputs[: 2 * n_q], inputs[2 * n_q :].reshape(3, n_axis)
         error = mixing @ (of.at_sensors @ motion[:n_q] + seen + added_in)
         pairs = zip(terms, memory.reshape(2, n_axis), strict=True)
         parts = [b0 * error + stored for (b0, _, _), stored in pairs]

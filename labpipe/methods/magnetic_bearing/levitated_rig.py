@@ -1,6 +1,4 @@
-"""A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with
-injection in the loop.
-"""
+"""A virtual levitated rotor in the time domain: an unstable plant held by a sampled controller."""
 
 from __future__ import annotations
 

@@ -71,9 +71,7 @@ class MagnetLikelihood:
         return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there.
-        """
+        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI units of channel and parameter]."""
         return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -137,9 +135,7 @@ def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, Complex
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
-    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
-    of noise.
-    """
+    """Values (n_parameter,) [parameter units] of least squares that takes all channels for free of noise."""
     return _least_squares(*_linear(rotor, model)[1:])
 
 
@@ -196,9 +192,7 @@ def magnet_estimate(
 def errors_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
-    source once.
-    """
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of each source."""
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed
     axes = smoothed @ rotor.to_axes.T
@@ -226,8 +220,8 @@ class LateLikelihood(MagnetLikelihood):
         return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there, the last one by s.
+        """dB/dp by channels (n_parameter + 1, n_line, n, n_channel) [N per SI units of channel and parameter],
+        the last by tau.
         """
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
         return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])

@@ -125,9 +125,7 @@ def words(probability: float) -> str:
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else
-    undecided.
-    """
+    """Accepted where all limits are kept with that confidence, not where one is broken, else undecided."""
     judged = [limit.probability for limit in limits if limit.probability is not None]
     if any(probability < 1 - confidence for probability in judged):
         return BROKEN
@@ -323,9 +321,7 @@ def recorded_loop(
 def cause_of(
     acceptance: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:
-    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
-    empty without one.
-    """
+    """The one change of sign, power of ten or place of injection with which the fit is good, or empty."""
     changes = []
     for what, changed_acceptance, changed in _changes(acceptance, response):
         observation = recorded_loop(changed_acceptance, changed, file)

@@ -68,9 +68,7 @@ class ControlLoop(Settings):
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
-        """The blocks of an element of the controller matrix. None for the PID, and for a coupling that is
-        zero.
-        """
+        """Blocks of an element of the controller matrix; none of the PID, and of a coupling that is zero."""
         if self.cross is None or (output, input) == ("x", "x"):
             return self.controller if output == input else ()
         return getattr(self.cross, output + input) or (self.controller if output == input else ())
@@ -97,9 +95,7 @@ class ControlLoop(Settings):
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]. A controller of blocks is
-    one term.
-    """
+    """The three terms of the PID by name at *omega* [rad/s], (n_line,) [1] each; of blocks the one."""
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
     s = 1j * omega
@@ -125,9 +121,7 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop. Equation
-    (mag-controller).
-    """
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]. Equation (mag-controller)."""
     total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor

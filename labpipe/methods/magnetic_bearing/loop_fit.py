@@ -29,9 +29,7 @@ ZERO = -1.0
 
 @dataclass(frozen=True)
 class HeldProblem:
-    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,)
-    [1].
-    """
+    """The problem over its *free* parameters (n_parameter,), the others held at u (n_parameter,) [1]."""
 
     problem: LoopProblem
     u: FloatArray
@@ -423,9 +421,7 @@ def goodness(fit: LoopFit) -> list[Parameter]:
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or
-    errors beyond first order.
-    """
+    """Warnings: unknowns hardly told apart, no convergence, an end at zero, errors beyond first order."""
     if not fit.parameters:
         return list(fit.contradicted)
     together = " and ".join(fit.alike)

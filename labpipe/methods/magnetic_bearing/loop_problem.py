@@ -293,9 +293,7 @@ class LoopProblem:
         return (ahead - behind) / STEP
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual (n_equation,) [1] at u (n_parameter,) [1]. None for values that no bearing can
-        have.
-        """
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None for what no bearing can have."""
         try:
             return self.residual(u)
         except ConfigError:
@@ -343,9 +341,7 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view. ConfigError for fits whose coefficients are not those of one bearing in one direction, or
-    without known mass.
-    """
+    """The view. ConfigError for fits of more than one bearing in one direction, or without known mass."""
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
@@ -378,10 +374,7 @@ def _cosine(output: Port, force: Port) -> float:
 def receptance(
     view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None
 ) -> ComplexArray:
-    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N].
-
-    *support* (k_s, c_s), default: nominal.
-    """
+    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]."""
     stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
     return _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
 
@@ -442,9 +435,7 @@ def _sines(measured: Measured, turned_port: Port) -> FloatArray:
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights, for comparison with
-    the measured fits.
-    """
+    """The fits of the predicted response, on the same lines with the same weights."""
     frequency, matrix = view.response.frequency, view.response.matrix.copy()
     form = receptance_factor(view.response.form, frequency)[:, None, None]
     part = np.ix_(range(frequency.size), *view.ports)

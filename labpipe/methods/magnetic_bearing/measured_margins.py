@@ -1,6 +1,4 @@
-"""Peak of S and margins of L without a model: polynomials through neighbouring lines, over as many of them as
-a parabola follows.
-"""
+"""Peak of S and margins of L without a model: polynomials through as many lines as a parabola follows."""
 
 from __future__ import annotations
 
@@ -82,9 +80,7 @@ class Course:
         return bool(self.follows(np.array([lines.start]), lines.stop - lines.start)[0])
 
     def smoother(self) -> FloatArray:
-        """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
-        parabola follows, up to LOCAL.
-        """
+        """(n_line, n_line) [1]: every line by those around it, up to LOCAL, that a parabola follows."""
         count = self.omega.size
         weights, open_lines = np.zeros((count, count)), np.arange(count)
         for width in range(LOCAL, FEWEST - 1, -2):
@@ -150,9 +146,7 @@ class Smooth:
     changes: ComplexArray
 
     def of(self, margin: Margin, n: int) -> Found:
-        """A margin between the places n and n + 1, its standard error and its changes. Equation
-        (comp-margins-change).
-        """
+        """A margin between the places n and n + 1, with error and changes. Equation (comp-margins-change)."""
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
         moved = np.zeros(len(self.changes))

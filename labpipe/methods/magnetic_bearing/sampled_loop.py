@@ -30,9 +30,7 @@ OUTPUTS = ("reading", "before", "after", "output", "current")
 
 @dataclass(frozen=True)
 class Suspended:
-    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides
-    [N.s/m] in parallel.
-    """
+    """Moving *mass* [kg] in one direction on equal *bearings*, springs [N/m] and guides [N.s/m]."""
 
     loop: ControlLoop
     negative_stiffness: float
@@ -72,9 +70,7 @@ class SampledLoop:
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3). The force as `straight` feeds
-        it.
-        """
+        """z over force (as `straight` feeds it), noise and injection at *omega* [rad/s], (n_line, 5, 3)."""
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
@@ -125,9 +121,7 @@ class SampledPlant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction as matrices. ConfigError for what cannot be sampled, see
-    `sampled_matrix`.
-    """
+    """The closed loop of one direction. ConfigError for what cannot be sampled, see `sampled_matrix`."""
     if plant.loop.cross is not None:
         hint = "leave cross out"
         raise SettingError("cross", "a cross-coupled controller has no loop of one direction", hint)
@@ -173,10 +167,7 @@ def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class SampledLaw:
-    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples.
-
-    A (n, n), b and c (n,), d [1].
-    """
+    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: A (n, n), b and c (n,), d [1] of a controller."""
 
     a: FloatArray
     b: FloatArray
@@ -316,9 +307,7 @@ def integrals(
 def step_matrices(
     step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column:
-    (n_state, n_state), ...
-    """
+    """A (n_state, n_state), B, C, D of a linear *step* (state, inputs) -> (next, outputs) [any unit]."""
     still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]

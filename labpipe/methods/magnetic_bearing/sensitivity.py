@@ -189,9 +189,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 def loop_sensitivity(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be
-    fitted to S.
-    """
+    """Peak of the measured |S| with its zone, and the prediction of the bearing file."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     zone = zone_of(peak.value)
@@ -425,17 +423,13 @@ class SensitivityMatrix:
         )
 
     def largest(self) -> tuple[FloatArray, FloatArray]:
-        """The largest singular value of S and its standard error, d sigma = Re u^H dS v, (n_line,) each
-        [1].
-        """
+        """The largest singular value of S and its standard error, d s = Re u^H dS v, (n_line,) each [1]."""
         slopes = self._largest_slopes
         variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
         return np.linalg.svd(self.values, compute_uv=False)[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
 
     def largest_changes(self) -> FloatArray:
-        """Changes of the largest singular value by every source, (n_source, n_line) [1]. Equation
-        (mag-singular-change).
-        """
+        """Its changes by every source, (n_source, n_line) [1]. Equation (mag-singular-change)."""
         slopes = self._largest_slopes
         changes = [np.sum(slopes * error.change.reshape(slopes.shape), axis=1).real for error in self.errors]
         return np.array(changes).reshape(len(self.errors), len(slopes))

@@ -1,6 +1,4 @@
-"""Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the loop cut
-open.
-"""
+"""Stability of a mass on a magnetic bearing: closed-loop poles, argument principle, the loop cut open."""
 
 from __future__ import annotations
 
@@ -107,9 +105,7 @@ def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Poly
 
 
 def sample(plant: Suspended, rate: float) -> FloatArray:
-    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the
-    controller is a matrix.
-    """
+    """Matrix (n_state, n_state) [1] from sample to sample, of both directions for a controller matrix."""
     return sampled_loop(plant, rate).a if plant.loop.cross is None else sampled_matrix(plant, rate)
 
 
@@ -170,9 +166,7 @@ def unstable_poles(plant: Suspended) -> int:
 
 
 def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
-    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3. Of a controller
-    matrix that of x.
-    """
+    """S(jw) = 1 / (1 + L), L = K G / (-m w^2 - k_n), (n_line,) [1], ISO 14839-3; of a matrix that of x."""
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
@@ -195,9 +189,7 @@ def sensitivity_matrix(plant: Suspended, omega: FloatArray) -> ComplexArray:
 
 
 def zone_of(peak: float) -> str:
-    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above.
-    Equation (mag-zone).
-    """
+    """Zone of ISO 14839-3 of a peak of |S|: A below 3 (9.5 dB), B 4, C 5, D above. Equation (mag-zone)."""
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 
@@ -283,9 +275,7 @@ def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
-    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]. Infinite at a pole, as of an
-    integrator at rest.
-    """
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole."""
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
     law_bytes = (law.a.tobytes(), law.b.tobytes(), law.c.tobytes())

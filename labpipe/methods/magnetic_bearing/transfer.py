@@ -25,9 +25,7 @@ VANISHED, SAME = 1e-10, 1e-6
 
 @dataclass(frozen=True)
 class Transfer:
-    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z =
-    e^{s / rate} [1].
-    """
+    """G = gain prod(v - zeros) / prod(v - poles), v = s [rad/s], or with *rate* [Hz] z = e^{s / rate} [1]."""
 
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
@@ -196,9 +194,7 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer
-    function.
-    """
+    """Entries that a block of the form *needs* and those it *takes* beside, and its transfer function."""
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
@@ -293,9 +289,7 @@ class ControllerBlock(Settings):
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
-        """Blocks as they are, or from a system with one input and one output of python-control or
-        scipy.signal.
-        """
+        """Blocks as they are, or from a one-input one-output system of python-control or scipy.signal."""
         if isinstance(value, (str, Sequence)):
             return value
         try:

@@ -50,9 +50,7 @@ AXIAL_SHARE = 0.15
 
 
 def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
-    """Pedestal and rotor on all bearings in one direction. The bias field is that of the rig's own loop,
-    whatever gains *loop* has.
-    """
+    """Pedestal and rotor in one direction; the bias field is that of the rig's own loop, not of *loop*."""
     levitation = rig.levitation
     pedestal = rig.pedestal_stiffness, rig.pedestal_damping
     pull, own = negative_stiffness(levitation), loop or levitation.loop
@@ -111,9 +109,7 @@ def _per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[flo
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """The rotor alone. A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides
-    recorded.
-    """
+    """The rotor alone; a multisine, 4-1000 Hz every 2 Hz, between probe and controller, both recorded."""
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
     periods, rate = 1 + PERIODS, 5000.0
@@ -133,9 +129,7 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> v
 
 
 def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z,
-    tacho.
-    """
+    """The rotor alone from 1200 to 8000 rpm, passive in the axial direction: x, y at both ends, z, tacho."""
     low, high, duration = RUN_UP
     rate, length = 2000.0, _length(duration)
     t = np.arange(length + 1) / CONTROL_RATE
@@ -202,9 +196,7 @@ def _hover_force(
 
 
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
-    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how a levitated rotor
-    wanders.
-    """
+    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how the rotor wanders."""
     b, a = scipy.signal.butter(1, HOVER_CORNER, fs=rate)
     return np.asarray(scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
 
@@ -297,17 +289,13 @@ STATIC_BEND = 300e-6
 def simulate(
     rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None
 ) -> tuple[virtual_rigs.SimulatedRun, ...]:
-    """The named runs, all of `run_names` unless named. The same rig and seed give the same samples, whatever
-    other runs are made.
-    """
+    """The named runs, by default all; the same rig and seed give the same samples of each."""
     by_name, names = {**RUNS, **_loop_runs(rig)}, virtual_rigs.chosen_runs(rig, runs)
     return tuple(by_name[name](rig, name, virtual_rigs.generator(seed, name)) for name in names)
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
-    """All of RUNS. Of a rig under its control loop also those that close the loop in the time domain,
-    LOOP_RUNS.
-    """
+    """All of RUNS, and of a rig under its control loop LOOP_RUNS, which close it in the time domain."""
     return tuple({**RUNS, **_loop_runs(rig)})
 
 
@@ -392,9 +380,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs
-    together.
-    """
+    """A cross-coupled support under a force along x (or y): both runs show all eight coefficients."""
     dof = name[-1]
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
@@ -413,9 +399,7 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
 
 
 def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """Force over control voltage at seven levels and seven eccentricities. The gain falls as 1 / (1 + (e /
-    0.4)^4).
-    """
+    """Force over voltage at seven levels and eccentricities. The gain falls as 1 / (1 + (e / 0.4)^4)."""
     levels = np.linspace(0.08, 0.56, 7)
     gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
     eccentricity = np.repeat(ECCENTRICITIES, levels.size)
@@ -428,9 +412,7 @@ def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) 
 
 
 def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45
-    um.
-    """
+    """Static magnet force over displacement, k_0 x (1 - (x / 300 um)^2): straight within 2.3 % to 45 um."""
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
     force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
