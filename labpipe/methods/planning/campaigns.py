@@ -89,10 +89,7 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
 
 
 def interleave(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
-    """One test of two shakers at once, each on every other line.
-
-    Arguments as of one_by_one, power (n_line, 2) [N^2].
-    """
+    """One test of two shakers, each on every other line; power (n_line, 2) [N^2], as of one_by_one."""
     paired, used = _pairs(lines, power)
     forces = np.zeros((used.size, 2), complex)
     forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
@@ -171,9 +168,7 @@ def least_peak_phases(
 
 
 class _Problem:
-    """The peak as a function of the unknowns: phases of the first source (n_line,), then differences of the
-    others by group.
-    """
+    """The peak by phases of the first source (n_line,), then differences of the others by group."""
 
     def __init__(self, lines: IntArray, gains: ComplexArray, group: IntArray) -> None:
         self.lines, self.gains, self.group = lines, gains, group
@@ -249,9 +244,7 @@ class Limits(Settings):
 
 @dataclass(frozen=True)
 class EarlierInformation:
-    """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative
-    coefficients, beside *duration* [s].
-    """
+    """An earlier test's *information* (n_coefficient, n_coefficient) [1], relative, beside *duration* [s]."""
 
     information: FloatArray
     duration: float
@@ -280,10 +273,7 @@ class Rig:
 
     @property
     def known_rate(self) -> FloatArray:
-        """Information (n_coefficient, n_coefficient) [1/s] of an earlier test over the planned duration.
-
-        Zero without one.
-        """
+        """That of an earlier test over the planned duration (n_coefficient, n_coefficient) [1/s], or zero."""
         return np.zeros((len(self.model.names),) * 2) if self.earlier is None else self.earlier.rate
 
     def omega(self, test: Multisines) -> FloatArray:
@@ -295,9 +285,7 @@ class Rig:
         return np.einsum("lij,lj->li", self.model.receptance(self.omega(test)), test.forces @ self.directions)
 
     def over_limits(self, test: Multisines) -> ComplexArray:
-        """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]:
-        forces, then probes.
-        """
+        """Amplitudes of forces, then probes over their limits, (n_line, n_shaker, n_signal) [1]."""
         running = running_shakers(test)
         unit = np.eye(len(self.shakers))[:, running] / self.limits.force
         parts = [test.forces[:, :, None] * unit]
@@ -448,9 +436,7 @@ def crest_factors(test: Multisines) -> FloatArray:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s],
-    relative; *earlier*: besides.
-    """
+    """Tests, *shares* (n_test,) [1] of the time, relative *rate* (n, n) [1/s]; *earlier*: told besides."""
 
     tests: tuple[Multisines, ...]
     shares: FloatArray
@@ -459,9 +445,7 @@ class Campaign:
 
     @property
     def information(self) -> FloatArray:
-        """Information per second (n, n) [1/s], what an earlier test tells spread over the planned
-        duration.
-        """
+        """Information per second (n, n) [1/s], an earlier test's spread over the planned duration."""
         return self.rate if self.earlier is None else self.rate + self.earlier.rate
 
     def errors(self, duration: float) -> FloatArray:

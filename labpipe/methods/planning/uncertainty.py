@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 from scipy import fft
@@ -54,9 +55,7 @@ class Excitation:
 
     @classmethod
     def of_directions(cls, frequency: FloatArray, directions: ComplexArray) -> Excitation:
-        """Each of *directions* (n_direction, n_dof) [1] on every *frequency* (n_line,) [Hz], in tests of
-        their own.
-        """
+        """Each of *directions* (n_direction, n_dof) [1] on every *frequency* (n_line,) [Hz], one by one."""
         return cls(np.repeat(frequency, len(directions)), np.tile(directions, (frequency.size, 1)))
 
 
@@ -113,8 +112,7 @@ def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifi
     _, singular, right = np.linalg.svd(scaled, full_matrices=True)
     rank = int(np.count_nonzero(singular > SINGULAR * singular[0]))
     involved = np.any(np.abs(right[rank:]) > INVOLVED, axis=0)
-    undetermined = tuple(name for name, part in zip(model.names, involved, strict=True) if part)
-    return Identifiability(rank, len(model.names), undetermined)
+    return Identifiability(rank, len(model.names), tuple(compress(model.names, involved)))
 
 
 def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
@@ -164,10 +162,7 @@ class Earlier:
         return [(model.names.index(name), self.names.index(name)) for name in shared]
 
     def covariance_of(self, model: PlannedModel, without: Sequence[str] = ()) -> FloatArray:
-        """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients.
-
-        Zero for those that are typed.
-        """
+        """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients, of typed ones zero."""
         whole = np.zeros((len(model.names),) * 2)
         there, here = np.array(self.places(model), int).reshape(-1, 2).T
         whole[np.ix_(there, there)] = self.covariance(without)[np.ix_(here, here)]
@@ -260,10 +255,7 @@ def _rate(rig: campaigns.Rig, truth: campaigns.Rig, campaign: campaigns.Campaign
 
 
 def spread_notes(drawn: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
-    """What the uncertainty of the expectation means for the plan.
-
-    *predicted* (n,) [1] errors, *gain* [1] over flat.
-    """
+    """What an unsure expectation means for *predicted* errors (n,) [1] and the *gain* [1] over flat."""
     notes = []
     low, high = drawn.gain
     if low < LEAST_GAIN * gain or np.any(drawn.errors[1] > MOST_ERROR * predicted):
@@ -390,19 +382,13 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
 
 
 def factors(budget: Budget | None, n: int) -> FloatArray:
-    """Coverage factors (n_coefficient,) [1] by the effective degrees of freedom.
-
-    *n* of the normal distribution without a budget.
-    """
-    if budget is None:
-        return np.full(n, coverage_factor(COVERAGE, float("inf")))
-    return np.array([coverage_factor(COVERAGE, float(dof)) for dof in budget.dof])
+    """Coverage factors (n_coefficient,) [1] by effective degrees of freedom, infinite without a budget."""
+    dofs = np.full(n, np.inf) if budget is None else budget.dof
+    return np.array([coverage_factor(COVERAGE, float(dof)) for dof in dofs])
 
 
 def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
-    """What a design aims at (n_coefficient,) [1]: the limits, or where none meets the goal a tenth of it, so
-    that noise adds little.
-    """
+    """What a design aims at (n_coefficient,) [1]: the limits, or a tenth of a goal that none meets."""
     return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
 
 
@@ -429,9 +415,7 @@ def beside_earlier(
 def with_uncertainty(
     coefficients: Sequence[PlannedCoefficient], budget: Budget
 ) -> tuple[PlannedCoefficient, ...]:
-    """The coefficients with systematic, combined and expanded uncertainty, relative to their scales, and the
-    share of every source.
-    """
+    """The coefficients with relative systematic, combined and expanded uncertainty, shares of sources."""
     of_all = factors(budget, len(coefficients))
     columns = zip(coefficients, budget.systematic, budget.combined, of_all, strict=True)
     return tuple(
@@ -463,17 +447,12 @@ def lasting_notes(coefficients: Sequence[PlannedCoefficient]) -> Iterator[str]:
 
 
 def unreachable(goals: Goals, allowed: FloatArray) -> BoolArray:
-    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: as of
-    `limits`.
-    """
+    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: `limits`."""
     return np.asarray(np.isfinite(goals.expanded) & (allowed <= 0))
 
 
 def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: FloatArray) -> Iterator[str]:
-    """For every goal that no time meets, which source must be known how well.
-
-    *random* (n_coefficient,) [units] of the planned test.
-    """
+    """For every goal that no time meets, which source must be known how well; *random* (n,) [units]."""
     allowed = scales * goals.expanded / factors(budget, len(scales))
     for number in np.flatnonzero(unreachable(goals, limits(goals, budget, scales))):
         name, changes = budget.names[number], np.abs(budget.changes[:, number])
@@ -498,10 +477,7 @@ def _listing(budget: Budget, changes: FloatArray) -> str:
 
 
 def _size(source: Uncertainty, share: float) -> str:
-    """A standard uncertainty times a share, in per cent where it is relative.
-
-    What has to be reached is rounded down.
-    """
+    """A standard uncertainty times a share, relative in per cent; below one rounded down."""
     size = source.std_error * share
     unit = "%" if source.unit == "1" else shown_unit(source.unit, size)
     shown = 100 * size if unit == "%" else difference_in(size, unit)

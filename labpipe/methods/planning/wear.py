@@ -67,9 +67,7 @@ class WearGoal(Settings):
 
 @dataclass(frozen=True)
 class WearPlanSettings(Settings):
-    """Which tests there could be, how they are measured, and what they are to tell; *rig*: contents of
-    `rotor`.
-    """
+    """Which tests there could be, how measured, what they are to tell; *rig*: contents of `rotor`."""
 
     model: str = setting("choice", "what will be identified: depth and angle of wear", choices=(WORN,))
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
@@ -184,9 +182,7 @@ class ResponseTest:
 
 @dataclass(frozen=True)
 class ExpectedWear:
-    """A rotor with the expected *values* [SI] of the parameters, wear_depth and wear_angle of the *bearing*
-    first.
-    """
+    """A rotor with expected *values* [SI], wear_depth and wear_angle of the *bearing* first."""
 
     rig: RotorRig
     bearing: str
@@ -200,9 +196,7 @@ class ExpectedWear:
     def receptance_and_slopes(
         self, lines: FloatArray, mesh: FilmMesh = MESH
     ) -> tuple[ComplexArray, ComplexArray]:
-        """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
-        parameters [m/N per SI unit].
-        """
+        """H (n_line, 2, 2) [m/N] at lines [Hz], its derivatives (n, n_line, 2, 2) [m/N per SI unit]."""
         loads = self.rig.static_loads()
         supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
@@ -345,10 +339,7 @@ class WearTests:
         return tuple(conditions)
 
     def plan(self, title: str) -> RunPlan:
-        """The tests that tell most within the time.
-
-        ConfigError where a goal cannot be met however many there are.
-        """
+        """The tests that tell most within the time. ConfigError where no number of them meets a goal."""
         settings, values = self.settings, self.expected.values
         goals = {DEPTH: settings.goal.depth, ANGLE: settings.goal.angle}
         remedies: tuple[Change, ...] = ()
@@ -449,9 +440,7 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
 
 
 def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
-    """The pipeline that evaluates the tests: each fit begins with what the one before has found, so that the
-    last one knows all.
-    """
+    """The pipeline that evaluates the tests: each fit begins with what the one before has found."""
     settings = choice.settings
     tests, fits, last = [], {}, ""
     for run in plan.runs:
