@@ -260,9 +260,7 @@ class MagnetModel:
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
         """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass*
-        (n, n) [kg] in its place.
-
-        Equation (mag-balance).
+        (n, n) [kg] in its place. Equation (mag-balance).
         """
         mass = self.mass if mass is None else mass
         matrices, w = self.matrices(values), np.asarray(omega)[:, None, None]

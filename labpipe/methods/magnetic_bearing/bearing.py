@@ -126,9 +126,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
-    reluctance [m^2]. Equation (mag-area).
-    """
+    """A = k_i^2 g / (4 N^2 mu_0 k_n) [m^2] of both factors, iron without reluctance. Equation (mag-area)."""
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 

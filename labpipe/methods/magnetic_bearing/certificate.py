@@ -200,9 +200,7 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of the loops of one test. ConfigError for channels and settings that do not fit
-    together, FitError without a covariance.
-    """
+    """The certificate of a test's loops. ConfigError for what does not fit, FitError without covariance."""
     own = resolve(settings)
     if file is None:
         able = ("before", "after", "test", "log_decrement", "zone", "confidence")

@@ -194,9 +194,7 @@ def _curves(view: loop_problem.View, changed: MagneticFile | None) -> Iterator[C
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
-    """The magnetic-bearing file as a function of the condition that sets one of its entries. ConfigError for
-    another kind of bearing.
-    """
+    """The bearing file over the condition that sets an entry. ConfigError for another kind of bearing."""
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
         hint = f"a loop is predicted for the kind {MAGNETIC}"

@@ -71,9 +71,7 @@ def robust_plant(
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
     """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
-    F with 2 and 2 nu.
-
-    Equation (mag-radius).
+    F with 2 and 2 nu. Equation (mag-radius).
     """
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
@@ -388,9 +386,7 @@ class _Problem:
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band. ConfigError for more than one input or output, FitError for lines without
-    noise or too few.
-    """
+    """One fit, or one per band. ConfigError for several ports, FitError for few lines or without noise."""
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
         what = f"a block has one input and one output, not {len(columns)} and {len(rows)}"

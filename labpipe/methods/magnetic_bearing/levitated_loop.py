@@ -28,9 +28,7 @@ RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 @dataclass(frozen=True)
 class BendingMode(Settings):
-    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of
-    shape times force.
-    """
+    """One free-free mode in either plane, modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = shape * force."""
 
     frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
@@ -90,9 +88,7 @@ class SampledPid(Settings):
 
 @dataclass(frozen=True)
 class Injection(Settings):
-    """What is added in the loop, at the controller's output (a current) or input (a displacement). Its rms is
-    that of one axis.
-    """
+    """What is added at the controller's output (a current) or input (a displacement), rms of one axis."""
 
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")

@@ -220,8 +220,8 @@ class LateLikelihood(MagnetLikelihood):
         return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp by channels (n_parameter + 1, n_line, n, n_channel) [N per SI units of channel and parameter],
-        the last by tau.
+        """dB/dp by channels (n_parameter + 1, n_line, n, n_channel) [N per SI units of channel and
+        parameter], the last by tau.
         """
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
         return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])

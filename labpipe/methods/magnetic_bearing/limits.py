@@ -100,7 +100,6 @@ KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
 @dataclass(frozen=True)
 class Limit:
     """A limit of acceptance: its *name*, the probability that it is kept, and the sentence that says so.
-
     Without a probability it could not be judged, and *why* says the reason.
     """
 

@@ -235,12 +235,9 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
-    gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
-    for place in _roots(lambda w: loop(w).imag, omega, values.imag):
-        at = loop(np.array([place]))[0].real
-        if at < 0:
-            gains.append(-1 / at)
-    return [float(gain) for gain in gains]
+    places = _roots(lambda w: loop(w).imag, omega, values.imag)
+    real = [*values[omega == 0].real, *(loop(np.array([place]))[0].real for place in places)]
+    return [float(-1 / at) for at in real if at < 0]
 
 
 def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:

@@ -424,23 +424,19 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
     """Warnings: unknowns hardly told apart, no convergence, an end at zero, errors beyond first order."""
     if not fit.parameters:
         return list(fit.contradicted)
-    together = " and ".join(fit.alike)
+    together, number = " and ".join(fit.alike), fit.condition_number
     if not fit.determined:
-        what = (
-            f"{together} cannot be told apart by this response (condition number "
-            f"{fit.condition_number:.2g}): standard errors are omitted"
-        )
-        return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
+        what = f"{together} cannot be told apart by this response (condition number {number:.2g})"
+        cure = "standard errors are omitted. Fit one of them, and state the other."
+        return [Finding("collinear", f"{what}: {cure}")]
     if not fit.converged:
         what = "the fit of the loop's unknowns did not converge; its values are those of the last step"
         return [Finding("no-convergence", what)]
     findings = []
-    if fit.condition_number > COLLINEAR_CONDITION:
-        what = (
-            f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit "
-            f"{COLLINEAR_CONDITION:g})"
-        )
-        findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
+    if number > COLLINEAR_CONDITION:
+        limit = f"condition number {number:.3g}, limit {COLLINEAR_CONDITION:g}"
+        what = f"{together} are hardly told apart ({limit}): their errors are large and correlated"
+        findings.append(Finding("collinear", what))
     if fit.at_zero:
         names = " and ".join(fit.at_zero)
         what = f"{names} would fit best below zero, which no bearing has, and is held at zero"

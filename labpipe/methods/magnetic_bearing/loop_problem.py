@@ -257,9 +257,7 @@ class LoopProblem:
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
     def changes(self, u: FloatArray) -> FloatArray:
-        """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
-        each source beside the support.
-        """
+        """Change (n_source, n_datum) [1] of all residuals by each source beside the support."""
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
@@ -375,8 +373,8 @@ def receptance(
     view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None
 ) -> ComplexArray:
     """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]."""
-    stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
-    return _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
+    support = support or (view.support.stiffness.value, view.support.damping.value)
+    return _directions(view) / _total(view, file, omega, support)[:, None, None]
 
 
 def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:

@@ -191,10 +191,9 @@ def measured_margins(
         nearest = max if name == "gain_margin_lower" else min
         value, error, moved = nearest(margins, key=itemgetter(0))
         shown = f"{MEASURED}{name}{suffix}"
-        if name in units:
-            found.append((with_error(shown, units[name], value, error, quantile), moved))
-        else:
-            found.append((factor(shown, value, error, quantile), moved))
+        of = value, error, quantile
+        amount = with_error(shown, units[name], *of) if name in units else factor(shown, *of)
+        found.append((amount, moved))
     return found
 
 
@@ -351,9 +350,8 @@ def crest_of(course: Course) -> Crest | None:
     top = min(max(top, 1), places.size - 2)
     crest = _crest(course.at(places, lines), of_place, top, follows)
     place, error, changes = crest.place
-    return replace(
-        crest, place=(place, float(np.hypot(error, truncation(course, of_place, top, lines))), changes)
-    )
+    error = float(np.hypot(error, truncation(course, of_place, top, lines)))
+    return replace(crest, place=(place, error, changes))
 
 
 def _crest_lines(course: Course) -> tuple[slice, bool]:

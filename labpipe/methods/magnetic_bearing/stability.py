@@ -70,15 +70,15 @@ def characteristic_polynomial(plant: Suspended, time: float) -> Polynomial:
         behind = behind * Polynomial([1.0, corner / time])
     ahead = loop_stiffness(loop) * ahead
     rotor = Polynomial([-plant.negative_stiffness, 0.0, plant.mass / time**2])
-    above, below = _controller_polynomials(loop, time)
-    x = rotor * below * behind + above * ahead
+    above, below_x = _controller_polynomials(loop, time)
+    x = rotor * below_x * behind + above * ahead
     if loop.cross is None:
         return x
-    above, below = _polynomials(loop.blocks("y", "y"), time)
-    y = rotor * below * behind + above * ahead
-    (xy, below_xy), (yx, below_yx) = (_polynomials(loop.blocks(*pair), time) for pair in ("xy", "yx"))
-    x_below = _controller_polynomials(loop, time)[1]
-    return x * y * below_xy * below_yx - xy * yx * ahead**2 * x_below * below
+    (above, below_y), (xy, below_xy), (yx, below_yx) = (
+        _polynomials(loop.blocks(*pair), time) for pair in ("yy", "xy", "yx")
+    )
+    y = rotor * below_y * behind + above * ahead
+    return x * y * below_xy * below_yx - xy * yx * ahead**2 * below_x * below_y
 
 
 def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial, Polynomial]:
@@ -110,9 +110,8 @@ def sample(plant: Suspended, rate: float) -> FloatArray:
 
 
 def closed_loop_poles(plant: Suspended) -> ComplexArray:
-    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation.
-
-    With discrete blocks s = f_s ln z of the sampled loop, without approximation.
+    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation. With
+    discrete blocks s = f_s ln z of the sampled loop, without approximation.
     """
     rate = plant.loop.rate
     if rate is not None:
@@ -146,22 +145,20 @@ def unstable_poles(plant: Suspended) -> int:
     omega = 2 * np.pi * np.geomspace(*TURNING)
     inertia = plant.mass * omega**2
     if loop.cross is None:
-        curve = dynamic_stiffness(loop, plant.negative_stiffness, omega) - inertia
+        pairs, turned = ["xx"], dynamic_stiffness(loop, plant.negative_stiffness, omega) - inertia
     else:
-        dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega)
-        curve = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
-    elements = [loop.blocks(*pair) for pair in (["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"])]
-    poles = np.array([pole for blocks in elements for pole in in_series(blocks)[0].poles], np.complex128)
+        pairs, dynamic = ["xx", "xy", "yx", "yy"], stiffness_matrix(loop, plant.negative_stiffness, omega)
+        turned = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
+    poles = [pole for pair in pairs for pole in in_series(loop.blocks(*pair))[0].poles]
     # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones
     # of a damped loop.
-    turned = curve
     for pole in poles:
         turned = turned * (1j * omega - pole)
     # From 0 Hz, where D is real, to the frequencies where the mass dominates.
     angle = np.unwrap(np.angle(turned))
     first = np.angle(turned[0]) - (0.0 if turned[0].real > 0 else np.pi)
     change = float(angle[-1] - angle[0] + np.angle(np.exp(1j * first)))
-    degree = 2 * (1 if loop.cross is None else 2) + poles.size
+    degree = (2 if loop.cross is None else 4) + len(poles)
     return round((degree - 2 * change / np.pi) / 2)
 
 
@@ -171,8 +168,7 @@ def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     controlled = loop_stiffness(plant.loop) * controller(plant.loop, omega)
-    # An integrator at rest: S = 0.
-    # At a pole on the axis it is infinite, and says so.
+    # An integrator at rest: S = 0. At a pole on the axis it is infinite, and says so.
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = rotor / (rotor + controlled)
     return np.where(np.isfinite(controlled), ratio, 0.0)
@@ -258,8 +254,8 @@ def open_loop(
     motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
     motion = motion * chain.get("sensor", 1.0)
     if rate is None:
-        law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
-        return OpenLoop(loop.sensor, law.astype(np.complex128), motion, current)
+        law: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+        return OpenLoop(loop.sensor, law, motion, current)
     law_at = law_response(_own_law(loop, rate), omega, rate)
     sampled_motion, sampled_current = _sampled_motion(plant, omega, rate)
     if not filtered:
@@ -302,4 +298,4 @@ def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[C
     n, z = motion.step.shape[0], np.exp(1j * np.asarray(omega) / rate)
     late = (motion.hold[:, 0] / z[:, None] + motion.hold[:, 1]) * z[:, None] ** -float(whole)
     states = np.linalg.solve(z[:, None, None] * np.eye(n) - motion.step, late[..., None])[..., 0]
-    return states[:, 3 if n == 4 else 0], states[:, 2]
+    return states[:, motion.probe], states[:, 2]

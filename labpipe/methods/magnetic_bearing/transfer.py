@@ -93,9 +93,7 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width*
-    2 D of it at -3 dB.
-    """
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D; *frequency* [Hz], *width* 2 D at -3 dB."""
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
@@ -310,9 +308,7 @@ def block_of(transfer: Transfer) -> ControllerBlock:
 
 
 def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
-    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two
-    outputs; ConfigError for others.
-    """
+    """Elements xx, xy, yx and yy of a two-input two-output system; ConfigError for others."""
     elements = matrix_of(system)
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")

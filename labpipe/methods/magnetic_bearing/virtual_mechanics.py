@@ -107,9 +107,7 @@ class Timing:
 
 
 def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m].
-    Equation (sim-relaxation).
-    """
+    """k_0 + k_1 j w tau / (1 + j w tau) at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-relaxation)."""
     relative: ComplexArray = 1j * omega / (2 * np.pi * levitation.corner)
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 

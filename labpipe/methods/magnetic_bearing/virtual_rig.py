@@ -12,7 +12,7 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
-from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
+from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.sampled_loop import (
     CONTROL_RATE,
     OUTPUTS,
@@ -49,14 +49,6 @@ UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
 AXIAL_SHARE = 0.15
 
 
-def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
-    """Pedestal and rotor in one direction; the bias field is that of the rig's own loop, not of *loop*."""
-    levitation = rig.levitation
-    pedestal = rig.pedestal_stiffness, rig.pedestal_damping
-    pull, own = negative_stiffness(levitation), loop or levitation.loop
-    return Suspended(own, pull, rig.rotor_mass, levitation.bearings, *pedestal)
-
-
 def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
     """The share of the levitated rotor that one bearing carries."""
     levitation = rig.levitation
@@ -66,8 +58,11 @@ def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
 
 def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods."""
-    loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
-    plant = suspension(rig, loop)
+    levitation, pedestal = rig.levitation, (rig.pedestal_stiffness, rig.pedestal_damping)
+    loop = replace(levitation.loop, proportional=GAINS.get(name, levitation.loop.proportional))
+    # The bias field is that of the rig's own loop, whatever the gain.
+    pull = negative_stiffness(levitation)
+    plant = Suspended(loop, pull, rig.rotor_mass, levitation.bearings, *pedestal)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     periods, rate = 1 + PERIODS, 2000.0
     closed = sampled_loop(plant)
@@ -79,7 +74,7 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
-    shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
+    shaker = _noisy(force.samples(rate, periods), rig.noise.force, rng)
     channels = _channels(DIAGONAL, "xy")
     columns: list[FloatArray] = [shaker, *signals[:, :2, READING].T]
     # The gain study needs force and motion only.
@@ -121,7 +116,7 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> v
     )
     inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
     signals = _log(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
-    reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
+    reference = _noisy(added.samples(rate, periods), 1e-4, rng)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
     samples = [reference, signals[:, BEFORE], signals[:, AFTER]]
@@ -188,10 +183,8 @@ def _hover_force(
 ) -> FloatArray:
     """A slow force that makes the rotor wander by the stated rms."""
     wander = slow_noise(shape, CONTROL_RATE, rng)
-    static = (
-        plant.stiffness
-        + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
-    )
+    bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    static = plant.stiffness + plant.bearings * bearing
     return static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
@@ -318,9 +311,8 @@ def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArra
 def _run(
     name: str, truth: dict[str, Any], channels: Sequence[Channel], samples: Sequence[FloatArray], rate: float
 ) -> virtual_rigs.SimulatedRun:
-    return virtual_rigs.SimulatedRun(
-        name, truth, Recording(tuple(channels), np.column_stack(samples), rate, name)
-    )
+    recording = Recording(tuple(channels), np.column_stack(samples), rate, name)
+    return virtual_rigs.SimulatedRun(name, truth, recording)
 
 
 def _channels(force: str, moved: str) -> list[Channel]:

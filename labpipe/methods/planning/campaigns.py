@@ -63,7 +63,6 @@ Scheme = Callable[[IntArray, FloatArray, tuple[str, ...]], tuple[Multisines, ...
 
 def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """A test for every shaker: mean squares *power* (n_line, n_shaker) [N^2] at lines (n_line,) [multiples].
-
     *names* of the shakers.
     """
     tests = []
@@ -78,9 +77,7 @@ def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tu
 
 def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one,
-    power (n_line, 2) [N^2].
-
-    Equation (plan-together).
+    power (n_line, 2) [N^2]. Equation (plan-together).
     """
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
@@ -123,9 +120,7 @@ SETTLED = 1e-6
 
 def schroeder_phases_of(power: FloatArray) -> FloatArray:
     """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l)
-    p_l, p summing to 1.
-
-    Equation (spec-schroeder-power).
+    p_l, p summing to 1. Equation (spec-schroeder-power).
     """
     return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])))
 
@@ -258,9 +253,7 @@ class EarlierInformation:
 @dataclass(frozen=True)
 class Rig:
     """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing*
-    of the lines [Hz].
-
-    earlier: what an earlier test tells, where it is combined with the planned one.
+    of the lines [Hz]. earlier: what an earlier test tells, where it is combined with the planned one.
     """
 
     model: PlannedModel
@@ -310,9 +303,7 @@ def as_large_as_allowed(
     rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True
 ) -> Multisines:
     """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as
-    the limits allow.
-
-    Without *random_starts* the phases are a first look.
+    the limits allow. Without *random_starts* the phases are a first look.
     """
     running = running_shakers(test)
     # The shakers have limits of their own: those that a design pushes less are not to be the reason for
@@ -333,9 +324,7 @@ def as_large_as_allowed(
 
 def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
     """The test with its period begun where little motion starts and stops, and smaller forces where *seconds*
-    [s] from rest still need it.
-
-    Equation (plan-from-rest).
+    [s] from rest still need it. Equation (plan-from-rest).
     """
     limit = rig.limits.displacement
     if limit is None or rig.model.free_motion is None:
@@ -354,9 +343,7 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
 
 def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
     """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves
-    on when it stops.
-
-    The steady motion alone where what starts does not die away.
+    on when it stops. The steady motion alone where what starts does not die away.
     """
     motion = rig.motion(test)
     largest, free = peaks(test.lines, motion), rig.model.free_motion
@@ -450,9 +437,7 @@ class Campaign:
 
     def errors(self, duration: float) -> FloatArray:
         """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before,
-        the noise being known.
-
-        Equation (plan-earlier).
+        the noise being known. Equation (plan-earlier).
         """
         before = 0.0 if self.earlier is None else self.earlier.information
         return relative_errors(self.rate * duration + before)

@@ -42,9 +42,7 @@ class Certificate:
 
 def variances(information: FloatArray, wanted: FloatArray | None = None) -> FloatArray:
     """r I^-1 r^T of combinations *wanted* (n_wanted, n_coefficient) [1], (n_wanted,) [1]; of all coefficients
-    unless given.
-
-    Equation (plan-variances).
+    unless given. Equation (plan-variances).
     """
     inverse = np.linalg.inv(information)
     return np.asarray(np.diagonal(inverse) if wanted is None else _along(inverse, wanted))
@@ -56,9 +54,7 @@ def _along(inverse: FloatArray, wanted: FloatArray) -> FloatArray:
 
 def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray) -> FloatArray:
     """W = I^-1 R^T diag(q) R I^-1 (n, n) [1] of the *inverse* I^-1 (n, n) [1], q (n_wanted,) [1] and
-    combinations R (n_wanted, n) [1].
-
-    Equation (plan-gradient).
+    combinations R (n_wanted, n) [1]. Equation (plan-gradient).
     """
     rows = wanted @ inverse
     return np.asarray(rows.T @ (multipliers[:, None] * rows))

@@ -70,9 +70,8 @@ class PlannedModel:
         return np.einsum("lk,kij->lij", _powers(omega), whole)
 
     def receptance(self, omega: FloatArray) -> ComplexArray:
-        """X = (D - w^2 M_s)^-1 F, (n_line, n_dof, n_dof) [m/N], at omega (n_line,) [rad/s].
-
-        The rotor of a floating rig held still.
+        """X = (D - w^2 M_s)^-1 F, (n_line, n_dof, n_dof) [m/N], at omega (n_line,) [rad/s]. The rotor of a
+        floating rig held still.
         """
         inertia = omega[:, None, None] ** 2 * self.stator_mass * np.eye(self.n_dof)
         return np.asarray(np.linalg.inv(self.stiffness(omega) - inertia))
@@ -107,7 +106,6 @@ def _powers(omega: FloatArray) -> ComplexArray:
 
 def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
     """A pedestal, F = (k + jwc - w^2 m) X: k [N/m], c [N.s/m] and, unless *mass* [kg] is known, m [kg].
-
     ConfigError for other names.
     """
     wanted = ("k", "c") if mass is not None else ("k", "c", "m")
@@ -127,9 +125,7 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
     """A floating stator of *mass* M_s [kg], F - M_s A = (K + jwC - w^2 M) X: eight coefficients, or twelve
-    where masses are expected.
-
-    ConfigError without the stator's mass, or for unknown coefficients.
+    where masses are expected. ConfigError without the stator's mass, or for unknown coefficients.
     """
     if mass is None:
         what = "model dynamic-stiffness needs the mass of the stator"

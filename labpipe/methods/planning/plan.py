@@ -405,9 +405,7 @@ def _coefficients(
 
 def time_needed(campaign: campaigns.Campaign, limits: FloatArray, duration: float) -> float:
     """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1],
-    of a *duration* [s] or not.
-
-    Infinite where more than LONGEST times the duration would be needed.
+    of a *duration* [s] or not. Infinite where more than LONGEST times the duration would be needed.
     """
     if campaign.earlier is None:
         return float(duration * np.max(campaign.errors(duration) / limits) ** 2)

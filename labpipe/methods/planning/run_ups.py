@@ -479,9 +479,7 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
 
 def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the
-    search does not find.
-
-    Equation (plan-run-up).
+    search does not find. Equation (plan-run-up).
     """
     run = expected_run(expected, candidate)
     speeds = LoadRuns(run.load, run.speed, (ExcitedRun.of(expected.rig, run),))

@@ -36,9 +36,7 @@ LONGEST = 1e6
 @dataclass(frozen=True)
 class RunChoices:
     """Runs to choose from: *cost* (n_run,) [s], *information* (n_run, n, n) [1] of one run each, *prior* (n,
-    n) [1] known before.
-
-    settled (n,) [1]: parameters that the prior settles for good; none unless given.
+    n) [1] known before. settled (n,) [1]: parameters that the prior settles for good; none unless given.
     """
 
     cost: FloatArray
@@ -250,9 +248,7 @@ def least_factor(low: float, enough: Callable[[float], object]) -> float:
 @dataclass(frozen=True)
 class Quantity:
     """A number that the runs tell: *row* (n,) [unit per parameter unit], its derivatives by the parameters;
-    *goal* [unit], None for none.
-
-    scale [unit]: what its errors are shown relative to, None for none.
+    *goal* [unit], None for none. scale [unit]: what its errors are shown relative to, None for none.
     """
 
     name: str

@@ -83,9 +83,8 @@ BALANCING = 5
 @dataclass(frozen=True)
 class Wanted:
     """*criterion*: minimax, A or D; goals (n_coefficient,) [1]: relative standard errors, infinite for
-    coefficients that are not wanted.
-
-    floor [1]: share of the cost on all lines alike, whatever the optimum is.
+    coefficients that are not wanted. floor [1]: share of the cost on all lines alike, whatever the optimum
+    is.
     """
 
     criterion: str
@@ -103,7 +102,6 @@ class Wanted:
 @dataclass(frozen=True)
 class Source:
     """A design on the shakers: where it comes from, and its power (n_line, n_shaker) [1] before scaling.
-
     floor [1]: share of the power that is on all lines alike.
     """
 

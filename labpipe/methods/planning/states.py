@@ -191,9 +191,7 @@ def question_of(
     settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]
 ) -> RunQuestion:
     """What is asked of the runs: parameters are the numbers in common, or where there are none the
-    coefficients of every state.
-
-    Equation (plan-states).
+    coefficients of every state. Equation (plan-states).
     """
     if common:
         slopes = [test.state.slopes for test in tests]

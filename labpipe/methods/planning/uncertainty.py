@@ -89,9 +89,7 @@ class Identifiability:
 
 def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
     """Rank of what the excitation tells of the model's coefficients, in the expected state of the rig, with
-    remedies tried out.
-
-    Equation (plan-rank).
+    remedies tried out. Equation (plan-rank).
     """
     ranked = _rank(model, noise, excitation)
     if ranked.full:
@@ -172,9 +170,7 @@ class Earlier:
         self, model: PlannedModel, duration: float, common: Sequence[str] = ()
     ) -> campaigns.EarlierInformation:
         """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as
-        well, which add no uncertainty here.
-
-        ConfigError where the result states no errors.
+        well, which add no uncertainty here. ConfigError where the result states no errors.
         """
         covariance = self.covariance_of(model, common)
         there = [number for number, _ in self.places(model)]

@@ -237,9 +237,7 @@ def information(
     expected: ExpectedWear, testing: ResponseTest, band: tuple[float, float], terms: str = "full"
 ) -> FloatArray:
     """What a test in a *band* [Hz] tells of the parameters, (n, n) [1/SI units squared], from these *terms*
-    of the receptance.
-
-    Equation (plan-wear).
+    of the receptance. Equation (plan-wear).
     """
     lines = testing.lines(band)
     response, slopes = expected.receptance_and_slopes(lines)
