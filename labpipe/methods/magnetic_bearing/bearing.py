@@ -31,8 +31,7 @@ from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
-# Poles of one ring in +x, -x, +y, -y; the coils of +x and -x carry the control current with and against the
-# bias.
+# Poles of a ring in +x, -x, +y, -y; the coils of +x and -x carry the current with and against the bias.
 ALONG_X = np.array([1.0, -1.0, 0.0, 0.0])
 ASSUMPTIONS = (
     "four poles per ring in two rings, coils on every pole, opposite coils in series",

@@ -211,7 +211,7 @@ def certificate(
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
     model = None if file is None else _fit(settings, own, response, matrix, file)
-    trusted, rejected = (None, "") if model is None else (model.trusted, model.rejected)
+    trusted = None if model is None else model.trusted
     limits = [_zone_limit(own, worst, trusted), *_decrement_limits(own, model)]
     amounts, budgets = list(measured_amounts), [budget]
     if model is not None and model.loop is not None:
@@ -219,14 +219,17 @@ def certificate(
         amounts += of_loop
         budgets.append(budget)
     amounts += probabilities(limits)
-    if model is not None:
-        amounts += [*goodness(model.fit), *model.fit.parameters]
-        budgets.append(model.fit.budget)
-    unfounded = (*OF_LOOP, *settings.estimate) if rejected else ()
+    unsure = undecided(limits)
     verdict = verdict_of(limits, own.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
     statement = f"{verdict.capitalize()}: {'; '.join(parts)}."
+    if model is not None:
+        amounts += [*goodness(model.fit), *model.fit.parameters]
+        budgets.append(model.fit.budget)
+        statement += f" {fit_statement(model.fit)}"
+        if model.rejected:
+            unsure += [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
     return Comparison(
         name=settings.name,
         kind="certificate",
@@ -235,12 +238,12 @@ def certificate(
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
-        statement=statement if model is None else f"{statement} {fit_statement(model.fit)}",
+        statement=statement,
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
         budgets=tuple(filter(None, budgets)),
-        undecided=(*undecided(limits), *((name, rejected) for name in unfounded)),
+        undecided=tuple(unsure),
     )
 
 

@@ -246,12 +246,10 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     if np.ndim(mass) == 1:
         mass = np.diag(mass)
     rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, own)
-    between = None
-    if own.hold is not None:
-        between = balance.Between(own.hold, own.amplifier_bandwidth)
-        if rotor.omega[-1] > np.pi * between.rate:
-            what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
-            raise SettingError("hold", what, "hold is the rate of the recording")
+    if own.hold is not None and rotor.omega[-1] > np.pi * own.hold:
+        what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
+        raise SettingError("hold", what, "hold is the rate of the recording")
+    between = None if own.hold is None else balance.Between(own.hold, own.amplifier_bandwidth)
     coupling, damping = own.coupling, own.passive_damping
     model = balance.magnet_model(rotor.labels, rotor.bearing, rotor.mass, coupling, damping, between)
     best = likelihood.magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))

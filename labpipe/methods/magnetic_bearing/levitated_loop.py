@@ -21,8 +21,7 @@ KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
 AXES = {"x": ("x",), "xy": ("x", "y")}
 ENDS = ("a", "b")
-# Runs in which all axes are excited at once, and the one without excitation; others are named after their
-# axis, as multisine-x.
+# Runs with all axes excited at once, or none; others are named after their axis, as multisine-x.
 RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 
@@ -334,10 +333,9 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
     plant = [_sampled_plant(rig, of, part / BETWEEN) for part in range(BETWEEN + 1)]
     n_plant = plant[0][0].shape[0]
     interval = 1 / control.rate
-    terms = [
-        sampled_loop.tustin(control.derivative, 0.0, control.derivative_time, interval),
-        (control.integral * interval / 2, control.integral * interval / 2, -1.0),
-    ]
+    trapezoid = control.integral * interval / 2
+    differentiator = sampled_loop.tustin(control.derivative, 0.0, control.derivative_time, interval)
+    terms = [differentiator, (trapezoid, trapezoid, -1.0)]
     mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
 
     def advance(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -354,9 +352,8 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
         return np.concatenate([moved[-1], *memories, line[n_axis:]]), np.concatenate([output, *fine])
 
     n_state = n_plant + 2 * n_axis + control.delay * n_axis
-    return LevitatedLoop(
-        *sampled_loop.step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis
-    )
+    matrices = sampled_loop.step_matrices(advance, n_state, 2 * n_q + 3 * n_axis)
+    return LevitatedLoop(*matrices, control.rate, n_axis)
 
 
 def _sampled_plant(
@@ -370,9 +367,8 @@ def _sampled_plant(
     stiffness = of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
     slope, outputs, forces = np.zeros((n, n)), np.zeros((n, n_axis)), np.zeros((n, n_q))
     slope[:n_q, n_q : 2 * n_q] = np.eye(n_q)
-    slope[n_q : 2 * n_q] = inverse @ np.hstack(
-        [-stiffness, -of.damping, rig.force_per_current * of.at_bearings.T]
-    )
+    push = rig.force_per_current * of.at_bearings.T
+    slope[n_q : 2 * n_q] = inverse @ np.hstack([-stiffness, -of.damping, push])
     slope[2 * n_q :, 2 * n_q :] = -corner * np.eye(n_axis)
     outputs[2 * n_q :] = corner * np.eye(n_axis)
     forces[n_q : 2 * n_q] = inverse

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -259,10 +260,10 @@ def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
         grids = [(*problem.best_of_grid(best.values), problem, name) for problem, name in tried]
     except np.linalg.LinAlgError:
         return []
-    grids.sort(key=lambda grid: grid[0])
-    tried_late = (_late(problem, start_at, best, name) for _, start_at, problem, name in grids[:LIKELIEST])
-    explained = [fitted for fitted in tried_late if fitted is not None]
-    return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
+    grids.sort(key=itemgetter(0))
+    fitted = (_late(problem, start_at, best, name) for _, start_at, problem, name in grids[:LIKELIEST])
+    explained = sorted(filter(None, fitted), key=itemgetter(0))
+    return [finding for _, finding in explained[:1]]
 
 
 def _may_be_late(rotor: Levitation) -> list[tuple[str, BoolArray]]:

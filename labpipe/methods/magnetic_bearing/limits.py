@@ -74,9 +74,8 @@ class CertificateSettings(Settings):
             what = f"{len(self.before)} points ahead of a sum and {len(self.after)} behind"
             raise SettingError("before", what, "one per loop")
         if self.filtered and not (self.current or self.displacement):
-            raise SettingError(
-                "filtered", "'filtered' is of a current or displacement", "name them, or leave it out"
-            )
+            what, hint = "'filtered' is of a current or displacement", "name them, or leave it out"
+            raise SettingError("filtered", what, hint)
 
     def check_written(self, able: Sequence[str], why: str, hint: str) -> None:
         """ConfigError for an entry that is none of those that *able* take effect."""
@@ -141,10 +140,8 @@ def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
     """The probabilities that are not known, and the verdict that rests on them, with the reason."""
     unjudged = [limit for limit in limits if limit.probability is None]
     reasons = "; ".join(dict.fromkeys(limit.why for limit in unjudged))
-    return [
-        *((f"probability_{limit.name}", limit.why) for limit in unjudged),
-        *([("verdict", reasons)] if reasons else []),
-    ]
+    names = [(f"probability_{limit.name}", limit.why) for limit in unjudged]
+    return [*names, ("verdict", reasons)] if reasons else names
 
 
 RATIO, DECREMENT = "zeta", "log_decrement"
@@ -234,14 +231,11 @@ def _decrement(ratio: float) -> float:
 
 def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
     least = min(amounts, key=lambda amount: amount.value)
-    text = (
-        f"log decrement {least.value:.3g} ({least.name}) is the least; above {acceptance.least_decrement:g}"
-    )
+    limit = acceptance.least_decrement
+    text = f"log decrement {least.value:.3g} ({least.name}) is the least; above {limit:g}"
     if why:
         return Limit(DECREMENT, None, f"{text} not judged, since {why}", why)
-    probability = min(
-        below(-amount.value, amount.full_error or 0.0, -acceptance.least_decrement) for amount in amounts
-    )
+    probability = min(below(-amount.value, amount.full_error or 0.0, -limit) for amount in amounts)
     return Limit(DECREMENT, probability, f"{text} with {words(probability)}")
 
 

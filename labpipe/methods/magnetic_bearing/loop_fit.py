@@ -20,8 +20,7 @@ from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget
 from labpipe.uncertainty.amounts import chance, with_budget, with_error
 
-# An unknown less than this share of its start value above zero stands at the edge where no bearing can have
-# one below.
+# An unknown less than this share of its start value above zero is at the edge of what a bearing can have.
 NEAR = 1e-2
 # The share of its start value that makes an unknown zero.
 ZERO = -1.0

@@ -26,8 +26,7 @@ FEWEST, LOCAL, GROWTH = 5, 11, 1.3
 LINE, PARABOLA, QUARTIC = 2, 3, 5
 # Chance below which a parabola leaves more than noise of its lines.
 ENOUGH = 0.05
-# Standard errors within which a function is zero all the way from one crossing to the next: both are one,
-# crossed by noise.
+# Standard errors within which all between two crossings is zero: both are one, crossed by noise.
 SURE = 3.0
 # Standard errors that a gain margin is away from zero where it is told.
 TELLING = 4.0
@@ -36,8 +35,7 @@ SELDOM = 3.6
 # How names of margins without a model begin.
 MEASURED = "measured_"
 FINE = 32
-# Places at which L is followed around a crossing of its imaginary part, over its lines but this share at
-# either end.
+# Places at which L is followed around Im L = 0, over its lines but this share at either end.
 PLACES, EDGE = 257, 8
 # Share of a response below which what is left is rounding.
 ROUNDING = 1e-12

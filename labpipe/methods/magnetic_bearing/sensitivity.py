@@ -234,9 +234,8 @@ def _size(file: MagneticFile, frequency: FloatArray) -> FloatArray:
 def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
     parts = {} if predicted is None else {"theory": predicted}
     if theory is not None and theory[1].usable:
-        parts["matched"] = _size(
-            loop_problem.with_unknowns(theory[0], theory[1].values()), measured.frequency
-        )
+        changed = loop_problem.with_unknowns(theory[0], theory[1].values())
+        parts["matched"] = _size(changed, measured.frequency)
     reach = measured.quantile * measured.combined
     parts |= {"measured": measured.size, "low": measured.size - reach, "high": measured.size + reach}
     return curve_of(measured.response.name, "sensitivity", "1", frequency=measured.frequency, **parts)
@@ -360,9 +359,7 @@ def _errors(
 ) -> tuple[MatrixError, ...]:
     """dH (n_line, n_output, n_input) by every source in the channels and their sums."""
     outputs, inputs = places
-    stated = (
-        calibration.uncertainty for channel in spectra.channels for calibration in channel.uncertainties
-    )
+    stated = (entry.uncertainty for channel in spectra.channels for entry in channel.uncertainties)
     uncertainties = {uncertainty.source: uncertainty for uncertainty in stated}
     omega = 2 * np.pi * spectra.frequency[:, None, None]
     errors = []

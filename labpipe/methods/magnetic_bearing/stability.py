@@ -35,8 +35,7 @@ PADE_ORDER = 4
 EMPTY, MARGINAL = 1e-6, 1e-9
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
 ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))
-# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed
-# or 2 kHz.
+# Frequencies searched [Hz]: from far below any lag to the standard's limit, three times the speed or 2 kHz.
 SEARCH = (1e-3, 2000.0, 20_001)
 TURNING = (1e-5, 1e7, 400_001)
 
@@ -150,8 +149,7 @@ def unstable_poles(plant: Suspended) -> int:
         pairs, dynamic = ["xx", "xy", "yx", "yy"], stiffness_matrix(loop, plant.negative_stiffness, omega)
         turned = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
     poles = [pole for pair in pairs for pole in in_series(loop.blocks(*pair))[0].poles]
-    # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones
-    # of a damped loop.
+    # Stable poles turn by what they add to n, so that only others count, at s = 0 as slow damped ones.
     for pole in poles:
         turned = turned * (1j * omega - pole)
     # From 0 Hz, where D is real, to the frequencies where the mass dominates.

@@ -42,8 +42,7 @@ MARGIN = 0.05
 SETTLING = 3.0
 GAINS = {"gain-1.0": 1.0, "gain-1.1": 1.1, "gain-1.2": 1.2}
 INJECTION = 0.05  # rms [V]
-# Run-up: speeds [Hz], time [s]; mass eccentricity [m] and its angle [rad] at both ends; axial force per
-# radial one.
+# Run-up: speeds [Hz], time [s]; eccentricity [m] and angle [rad] at both ends; axial force per radial one.
 RUN_UP = (20.0, 8000 / 60, 10.0)
 UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
 AXIAL_SHARE = 0.15
@@ -111,9 +110,8 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> v
     n_sample = round(periods / added.spacing * rate)
     settling = round(SETTLING * added.spacing) / added.spacing
     length = _length(settling + periods / added.spacing)
-    inputs = _inputs(
-        _hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng)
-    )
+    hover = _hover_force(rig, plant, (length + 1, 1), rng)
+    inputs = _inputs(hover, _probe_noise(rig, rate, (length, 1), rng))
     inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
     signals = _log(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
     reference = _noisy(added.samples(rate, periods), 1e-4, rng)
@@ -140,15 +138,13 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
     axial = Suspended(plant.loop, 0.0, rig.axial_mass, 0, rig.axial_stiffness, rig.axial_damping)
     axial_force = AXIAL_SHARE * _unbalance_force(rig.axial_mass, speed, angle, *UNBALANCE["front"], 0.0)
-    axial_motion = sampled_loop(axial).run(
-        _inputs(axial_force[:, None], _probe_noise(rig, rate, (length, 1), rng))
-    )
+    noise = _probe_noise(rig, rate, (length, 1), rng)
+    axial_motion = sampled_loop(axial).run(_inputs(axial_force[:, None], noise))
     n_sample = round(duration * rate)
     displacements = _log(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
     tacho = pulses(angle[: length : round(CONTROL_RATE / rate)][:n_sample])
     labels = [*(f"{end}.{dof}" for end in UNBALANCE for dof in "xy"), "z"]
-    channels = [Channel(label, "displacement", "output", label) for label in labels]
-    channels.append(TACHO)
+    channels = [*(Channel(label, "displacement", "output", label) for label in labels), TACHO]
     truth = {
         "mass": plant.mass,
         "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()},
@@ -270,8 +266,7 @@ def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, fl
     return {"k": float(std_error[0]), "c": float(std_error[1])}
 
 
-# What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the
-# probe's voltage.
+# What the logger writes of a channel: (unit, recorded value per SI value). y is the probe's voltage.
 RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
 TEXT_RUNS = ("pedestal", "axial")
 ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
@@ -326,9 +321,8 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     """One force and one displacement that starts at rest: the runs of ONE_DOF."""
     run = ONE_DOF[name](rig)
     timing = run.timing
-    receptance = 1 / linear.dynamic_stiffness(
-        run.mass, run.stiffness, run.damping, linear.line_frequencies(run.force)
-    )
+    omega = line_frequencies(run.force)
+    receptance = 1 / linear.dynamic_stiffness(run.mass, run.stiffness, run.damping, omega)
     steady = linear.steady_state(run.force, receptance, timing.n_sample, timing.periods)
     clean = steady + linear.free_decay(steady, timing.sample_rate, run.truth["f_n"], run.truth["zeta"])
     samples = [
@@ -342,7 +336,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
-    omega = linear.line_frequencies(force)
+    omega = line_frequencies(force)
     receptance = np.cos(np.pi / 4) / mechanics.levitated_stiffness(rig, omega)
     timing = Timing(2000.0, 1.0, 1)
     clean = linear.steady_state(force, receptance, timing.n_sample, timing.periods)
@@ -376,16 +370,15 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     dof = name[-1]
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
-    omega = linear.line_frequencies(force)
+    omega = line_frequencies(force)
     receptance = np.linalg.inv(mechanics.coupled_stiffness(rig, omega))[:, :, column]
     timing = Timing(2000.0, 1.0, 1)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for row in range(2):
         clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
         samples.append(_noisy(clean, rig.noise.displacement, rng))
-    support = virtual_rigs.coefficients_by_name(
-        "xy", k=mechanics.COUPLED_STIFFNESS, c=mechanics.COUPLED_DAMPING
-    )
+    stiffness, damping = mechanics.COUPLED_STIFFNESS, mechanics.COUPLED_DAMPING
+    support = virtual_rigs.coefficients_by_name("xy", k=stiffness, c=damping)
     truth = {"mass": rig.rotor_mass, **support}
     return _run(name, truth, _channels(dof, "xy"), samples, timing.sample_rate)
 
@@ -408,9 +401,8 @@ def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
     force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
-    return virtual_rigs.SimulatedRun(
-        name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force}
-    )
+    table = {"displacement [um]": displacement * 1e6, "force [N]": force}
+    return virtual_rigs.SimulatedRun(name, {"k_0": k_0}, table=table)
 
 
 RUNS: dict[str, MakeRun] = {
