@@ -147,7 +147,7 @@ def least_peak_phases(
     rng = np.random.default_rng(0)
     n_difference = (n_source - 1) * (int(group.max()) + 1)
     begins = [np.concatenate([schroeder, np.zeros(n_difference)])]
-    begins.extend(rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts))
+    begins += [rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts)]
     if random_starts and n_difference:
         begins.append(np.concatenate([schroeder, rng.uniform(0, 2 * np.pi, n_difference)]))
     problem = _Problem(lines, gains, group)
@@ -187,8 +187,7 @@ class _Problem:
         signals = _signals(self.lines, amplitudes.sum(axis=1), self.n_sample)
         largest = np.abs(signals).max()
         scaled = signals / largest
-        # scaled^(2 p - 1) = scaled scaled^2 scaled^4 ... scaled^p: p is a power of two, and a general power
-        # takes three times as long.
+        # scaled^(2 p - 1) = scaled scaled^2 ... scaled^p, p a power of two: a third of a general one's time.
         powers, square = scaled.copy(), scaled * scaled
         for _ in range(p.bit_length() - 1):
             powers *= square
@@ -202,15 +201,11 @@ class _Problem:
         return float(np.log(largest) + np.log(total) / (2 * p)), slopes
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
-        options = {"maxiter": steps, "ftol": SETTLED}
-        solved = scipy.optimize.minimize(
-            self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options
-        )
-        return np.asarray(solved.x)
+        how = {"jac": True, "method": "L-BFGS-B", "options": {"maxiter": steps, "ftol": SETTLED}}
+        return np.asarray(scipy.optimize.minimize(self.norm, unknowns, args=(p,), **how).x)
 
 
-# Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
-# slowest motion has died away.
+# Motion from rest: samples per period of the highest frequency, exponent by which the slowest has died.
 SAMPLES, DIED = 64, 9.0
 # Starts within a period that are looked at closely.
 STARTS = 16
@@ -306,8 +301,7 @@ def as_large_as_allowed(
     the limits allow. Without *random_starts* the phases are a first look.
     """
     running = running_shakers(test)
-    # The shakers have limits of their own: those that a design pushes less are not to be the reason for
-    # larger phases.
+    # Each shaker has its own limit: those that a design pushes less are not to worsen the phases.
     rms = np.where(running, np.sqrt(np.sum(np.abs(test.forces) ** 2, axis=0)), 1.0)
     test = test.scaled(np.where(running, rig.limits.force / rms, 0.0))
     if optimised:
@@ -317,8 +311,7 @@ def as_large_as_allowed(
             test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts
         )
         test = test.turned(phases)
-    largest = np.where(running, peaks(test.lines, test.forces), 1.0)
-    test = test.scaled(rig.limits.force / largest)
+    test = test.scaled(rig.limits.force / np.where(running, peaks(test.lines, test.forces), 1.0))
     return test.scaled(OBEYED / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
 
 
@@ -456,9 +449,9 @@ def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
 
 def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: FloatArray) -> Campaign:
     """The tests with the best division of the time among them; goals (n_coefficient,) [1]: as in `score`."""
-    rates = np.stack([rig.rate(test) for test in tests])
-    if len(rates) == 1:
+    if len(tests) == 1:
         return equal_times(rig, tests)
+    rates = np.stack([rig.rate(test) for test in tests])
     wanted = np.isfinite(goals)
     weight = 1 / np.where(wanted, goals, 1.0)
     relative = (rates + rig.known_rate) / np.outer(weight, weight)

@@ -247,9 +247,9 @@ def _rehearsed_fit(
 
 
 def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
-    if fit.budget is None:
-        return None
     whole = fit.budget
+    if whole is None:
+        return None
     columns = [whole.names.index(name) for name in names]
     random, changes = whole.random[columns], whole.changes[:, columns]
     return Budget(tuple(names), random, whole.random_dof, whole.sources, changes)
@@ -260,7 +260,7 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
     settings: PlanSettings = file.settings
     planned = make_plan(settings, _expected(file), file.title, rehearsal(file))
     plan = planned.plan
-    names = list(_write_signals(planned, output))
+    names = _write_signals(planned, output)
     write_plan(output.write_path(NAME), plan)
     content: bytes = DOCUMENTS.load("html")(plan_document(plan, __version__))
     output.write_path(REPORT).write_bytes(content)

@@ -196,8 +196,8 @@ def _with_budget(
     if goals.any and not np.any(beyond):
         needed = _needed(question, timed, allowed / plan.factor, plan.duration)
     never = tuple(compress(model.names, beyond))
-    notes = (*plan.notes, *lasting_notes(coefficients))
-    notes += tuple(calibration_notes(goals, budget, random, model.scales))
+    calibrate = calibration_notes(goals, budget, random, model.scales)
+    notes = (*plan.notes, *lasting_notes(coefficients), *calibrate)
     return replace(plan, coefficients=coefficients, needed=needed, unreachable=never, notes=notes)
 
 
@@ -269,25 +269,20 @@ def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
         raise SettingError("shakers", "both shakers push in one direction", "x and y")
-    density = settings.noise_density
-    if density is not None:
-        noise = Noise(density.force, density.displacement, density.acceleration)
-    else:
-        assert settings.noise is not None
-        sampled, rate = settings.noise, settings.sample_rate
-        noise = Noise.of_samples(sampled.force, sampled.displacement, sampled.acceleration, rate)
+    stated = settings.noise_density or settings.noise
+    assert stated is not None
+    sizes = stated.force, stated.displacement, stated.acceleration
+    noise = Noise(*sizes) if settings.noise_density else Noise.of_samples(*sizes, settings.sample_rate)
     limits = campaigns.Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return campaigns.Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 
 
 def _direction(name: str) -> tuple[float, float]:
-    angle = AXIS_ANGLES.get(name)
-    if angle is None:
-        try:
-            angle = parse_value(name, "rad")
-        except UnitError:
-            hint = "x, y, or an angle from x such as 45 deg"
-            raise SettingError("shakers", f"'{name}' is no direction", hint) from None
+    try:
+        angle = AXIS_ANGLES[name] if name in AXIS_ANGLES else parse_value(name, "rad")
+    except UnitError:
+        hint = "x, y, or an angle from x such as 45 deg"
+        raise SettingError("shakers", f"'{name}' is no direction", hint) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 

@@ -47,8 +47,7 @@ from labpipe.registry import nearest
 
 RUN_UPS = "run-ups"
 SPEEDS = ("critical_speed", "threshold")
-# Readings with a larger relative error are not planned with: a fit weighs along and across the measured
-# phasor, which is noise then.
+# No readings of a larger relative error: a fit weighs along and across the measured phasor, noise then.
 LARGEST_ERROR = 0.2
 
 
@@ -405,13 +404,12 @@ def earlier_parameters(file: PlanFile) -> dict[str, float]:
     path = file.path.parent / file.settings.earlier
     result = read_identification(path).sections.get("run_ups")
     methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
-    if not methods:
+    if result is None or not methods:
         what = f"{path.name} holds no joint fit of run-ups"
         raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
     values = {parameter.name: parameter.value for parameter in methods[0].parameters}
-    runs = () if result is None else result.runs
-    loads = [run.load for run in runs if run.role == TRAINED]
-    old = family_about(searched_over(file.settings.rig, runs), loads)
+    loads = [run.load for run in result.runs if run.role == TRAINED]
+    old = family_about(searched_over(file.settings.rig, result.runs), loads)
     new = expected_rig(file.settings, {}).family
     by_speed, by_load = (values.get(name, 0.0) for name in EXPONENTS)
     moved = (new.speed / old.speed) ** by_speed * (new.load / old.load) ** by_load

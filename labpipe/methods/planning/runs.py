@@ -20,12 +20,10 @@ from labpipe.estimation.statistics import combination_text
 from labpipe.methods.planning.designs import A, D, Design, certificate, optimum, variances
 from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
 
-# What makes the first runs comparable, before they determine everything: this share of the information of
-# all.
+# What makes the first runs comparable, before they determine all: this share of all information.
 SLIGHT = 1e-9
 MOST_EXCHANGES = 50
-# Eigenvalues of information below this share of the largest count as zero, parameters scaled to unit
-# diagonal.
+# Eigenvalues of information below this share of the largest are zero, parameters at unit diagonal.
 SINGULAR = 1e-12
 # Runs that a plan lists one by one, of the shortest kind.
 MOST_RUNS = 10_000

@@ -71,8 +71,7 @@ DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)
 # Candidates that are looked at closely, of those that did best at a first look.
 CLOSE = 3
 CLOSE_STARTS = 2
-# Phases of a flat multisine: as they are known, of the least crest factor, or of the least peak of forces and
-# displacements.
+# Phases of a flat multisine: as known, of least crest factor, or of least peak of force and displacement.
 SCHROEDER, LEAST_CREST, BOTH_LIMITS = FLAT_PHASES = ("schroeder", "least crest", "both limits")
 # Share of the power on all lines alike that is tried whatever floor is asked for.
 USUAL_FLOOR = 0.2

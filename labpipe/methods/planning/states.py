@@ -123,12 +123,10 @@ class StatePlanSettings(Settings):
 
     def at(self, speed: float) -> PlanSettings:
         """The settings of the test of one state at a *speed* [Hz]; ConfigError as for any test."""
-        names = (
-            "mass band period sample_rate force_limit displacement_limit noise noise_density scheme exclude"
-        )
+        names = "mass band period sample_rate force_limit displacement_limit noise noise_density scheme"
         return PlanSettings(
             FLOATING,
-            **{name: getattr(self, name) for name in (*names.split(), "mains", "skip")},
+            **{name: getattr(self, name) for name in (*names.split(), "exclude", "mains", "skip")},
             duration=self.periods * self.period,
             expected=tuple((name, 1.0) for name in COEFFICIENTS),
             speed=speed,

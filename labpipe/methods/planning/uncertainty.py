@@ -131,8 +131,7 @@ DRAWS = 200
 SEED = 1
 # The middle share of the draws that ranges hold.
 MIDDLE = 0.95
-# A gain of less than this share of the predicted one, or errors of more than this times the predicted ones,
-# at an end of their range.
+# At an end of the range: gain below this share of the predicted, errors above so many times theirs.
 LEAST_GAIN, MOST_ERROR = 0.8, 1.25
 
 
@@ -245,9 +244,8 @@ def spread(
 def _rate(rig: campaigns.Rig, truth: campaigns.Rig, campaign: campaigns.Campaign) -> FloatArray:
     """What a campaign tells per second on the rig as it is, (n, n) [1/s], relative to the expected scales."""
     ratio = rig.model.scales / truth.model.scales
-    return np.asarray(
-        campaigns.with_shares(truth, campaign.tests, campaign.shares).rate * np.outer(ratio, ratio)
-    )
+    rate = campaigns.with_shares(truth, campaign.tests, campaign.shares).rate
+    return np.asarray(rate * np.outer(ratio, ratio))
 
 
 def spread_notes(drawn: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
@@ -326,8 +324,7 @@ def _direction(channel: Channel, n_dof: int) -> ComplexArray:
 
 
 COVERAGE = 0.95
-# Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of
-# the combined uncertainty.
+# Systematic share of the variance where measuring longer gains less than a tenth of the uncertainty.
 LASTING = 0.81
 # Share of the variance that a goal leaves to noise, at least, where a source is to be calibrated for it.
 FOR_NOISE = 0.1

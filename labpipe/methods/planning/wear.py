@@ -400,10 +400,10 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
     tests = WearTests(settings, settings.expected)
     plan = tests.plan(file.title)
     rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
-    others = [
-        load if load["node"] != settings.node else {**load, "z": "0 N"} for load in rotor.get("loads") or ()
-    ]
+    loads = rotor.get("loads") or ()
+    others = [{**load, "z": "0 N"} if load["node"] == settings.node else load for load in loads]
     files: dict[str, Any] = {}
+    expected, noise = settings.expected, settings.noise
     for run in plan.runs:
         point = tests.points[run.name]
         files[f"rotor-{run.name}.yaml"] = {
@@ -411,7 +411,6 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
             "speed": f"{point.speed!r} Hz",
             "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
         }
-        expected = settings.expected
         files[f"virtual-{run.name}.yaml"] = {
             "kind": "virtual-journal-rig",
             "rotor": f"rotor-{run.name}.yaml",
@@ -422,10 +421,7 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
             "bandwidth": f"{point.band[1]!r} Hz",
             "sample_rate": f"{settings.sample_rate!r} Hz",
             "duration": f"{run.count * settings.run!r} s",
-            "noise": {
-                "displacement": f"{settings.noise.displacement!r} m",
-                "force": f"{settings.noise.force!r} N",
-            },
+            "noise": {"displacement": f"{noise.displacement!r} m", "force": f"{noise.force!r} N"},
         }
     channels = {
         "f": {"column": "force [N]", "quantity": "force", "unit": "N", "role": "input", "dof": "y"},
@@ -443,10 +439,8 @@ def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
     tests, fits, last = [], {}, ""
     for run in plan.runs:
         folder, point = f"recordings/{run.name}", choice.points[run.name]
-        recordings = [
-            f"{folder}/worn-y.parquet",
-            {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}},
-        ]
+        in_z = {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}}
+        recordings = [f"{folder}/worn-y.parquet", in_z]
         conditions = {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}
         tests.append({"name": run.name, "recordings": recordings, "conditions": conditions})
         wear: dict[str, Any] = {"rotor": f"rotor-{run.name}.yaml", "bearing": choice.expected.bearing}
