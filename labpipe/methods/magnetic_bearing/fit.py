@@ -159,9 +159,7 @@ def fit_notes(
     parameters: Sequence[Parameter],
     uncertainties: Uncertainties,
 ) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force with all its uncertainty, and what least
-    squares without regard to noise would give.
-    """
+    """Sign, size and use of what was estimated, and what least squares without noise would give."""
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
     notes = [

@@ -305,9 +305,7 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the closed loop (n_state,) [1/s], s = rate ln z. What a delay holds alone (z = 0) is left
-        out. Equation (sim-poles).
-        """
+        """Poles (n_state,) [1/s], s = rate ln z, but z = 0 that a delay holds. Equation (sim-poles)."""
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > sampled_loop.ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))

@@ -157,9 +157,7 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation
-    (mag-stiffness).
-    """
+    """K_eq + j w C_eq = K G(jw) - k_n at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
@@ -211,9 +209,7 @@ class Margins:
 
 
 def margins(loop: LoopTransfer, highest: float) -> Margins:
-    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to
-    *highest* [Hz]. Equation (mag-margins).
-    """
+    """Margins of a stable *loop*, L of omega (n_line,) [rad/s], to *highest* [Hz]. Equation (mag-margins)."""
     omega = 2 * np.pi * np.concatenate([[0.0], np.geomspace(LOWEST * highest, highest, LINES)])
     values = loop(omega)
     finite = np.isfinite(values)

@@ -146,9 +146,7 @@ class LoopMinimum:
         return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses alone, whose weights
-        are *inflation* [1] too light.
-        """
+        """Covariance (n_parameter, n_parameter) [1] of u by noise, its weights *inflation* too light."""
         return np.asarray(inflation * (self.inverse - self.steps.T @ self.steps))
 
     def combined(self, inflation: float) -> FloatArray:
@@ -195,9 +193,7 @@ class LoopMinimum:
         return None
 
     def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
-        away. Equation (comp-bent).
-        """
+        """Second over first order (n_unknown,) [1], REACH standard errors away. Equation (comp-bent)."""
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):

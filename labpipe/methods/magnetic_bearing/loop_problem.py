@@ -339,7 +339,7 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view. ConfigError for fits of more than one bearing in one direction, or without known mass."""
+    """The view. ConfigError for fits of other than one bearing in one direction, or without known mass."""
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)

@@ -54,9 +54,7 @@ class Course:
     dof: float
 
     def follows(self, starts: IntArray, width: int) -> BoolArray:
-        """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
-        (n,) on. Equation (comp-course).
-        """
+        """Whether *width* lines from *starts* (n,) on are a parabola and noise. Equation (comp-course)."""
         if width <= PARABOLA:
             return np.ones(starts.size, dtype=bool)
         lines = starts[:, None] + np.arange(width)

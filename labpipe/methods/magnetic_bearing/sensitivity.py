@@ -1,6 +1,4 @@
-"""Sensitivity of one control loop, or of several that are coupled, from an excitation added in the loop: its
-peak, the zone of ISO 14839-3, and the prediction.
-"""
+"""Sensitivity of loops from excitations added in them: its peak, zone of ISO 14839-3, prediction."""
 
 from __future__ import annotations
 
@@ -171,9 +169,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
-    itself. Equation (comp-peak-change).
-    """
+    """The maximum of |S| by a polynomial, at an edge the highest line. Equation (comp-peak-change)."""
     crest = crest_of(measured.course)
     if crest is None:
         top = int(np.argmax(measured.size))

@@ -128,9 +128,7 @@ def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexAr
 
 
 def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m].
-    Equation (sim-levitated).
-    """
+    """Pedestal and levitated rotor in one direction at *omega*, (n_line,) [N/m]. Equation (sim-levitated)."""
     pedestal = linear.dynamic_stiffness(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 
