@@ -229,9 +229,7 @@ def _variance(rotor: balance.Levitation, measured: ComplexArray, inverse: Comple
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band. ConfigError where settings and channels do not fit together, FitError where
-    the lines cannot determine the parameters.
-    """
+    """One fit, or one per band. ConfigError for settings unlike the channels, FitError for too few lines."""
     if settings.mass == ESTIMATE:
         what = "the mass of the rotor must be known: all else is in proportion to it"
         raise SettingError("mass", what, "mass: 4 kg +- 5 g, in the rig file or in the fit")

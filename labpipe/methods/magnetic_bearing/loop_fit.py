@@ -347,9 +347,7 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
 
 
 def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, curved: bool) -> LoopFit:
-    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
-    both. *curved*: ends of intervals follow the response where it bends.
-    """
+    """With errors by noise, changes by sources, and where *curved* ends that follow the response."""
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
     random, steps = at_end.random(inflation), at_end.steps

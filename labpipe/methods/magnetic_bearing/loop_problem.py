@@ -268,9 +268,7 @@ class LoopProblem:
         return np.hstack(parts)
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
-        one-sided ones; the residual is linear in the sources.
-        """
+        """(n_equation, n_parameter) [1] by centred, at an edge one-sided differences; linear in sources."""
         shared = self.n_shared
         count = sum(loop.measured.n_equation for loop in self.observations) + u.size - len(self.unknowns)
         slopes = np.zeros((count, u.size))

@@ -318,18 +318,14 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Crest:
-    """The highest |S| by itself: value [1] and place [rad/s], each with its standard error by noise and its
-    changes (n_source,) by every source.
-    """
+    """The highest |S|: value [1] and place [rad/s], each with its error by noise and changes (n_source,)."""
 
     value: Found
     place: Found
 
 
 def crest_of(course: Course) -> Crest | None:
-    """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
-    lies at an end of the lines. Equation (comp-peak).
-    """
+    """The maximum of |S| by as many lines as a parabola follows, None at an end. Equation (comp-peak)."""
     count = course.omega.size
     if count < FEWEST:
         return None

@@ -120,9 +120,7 @@ def closed_loop_poles(plant: Suspended) -> ComplexArray:
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
-    memory, are left out. Equation (mag-sampled).
-    """
+    """s = f_s ln z [rad/s], z of *matrix* (n_state, n_state) [1] but empty z = 0. Equation (mag-sampled)."""
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
