@@ -1,3 +1,1 @@
-"""Magnetic bearings: magnet and control-loop coefficients from tests, predictions, certificates, and virtual
-rigs.
-"""
+"""Magnetic bearings: coefficients of magnets and loops from tests, predictions, certificates, rigs."""

@@ -18,7 +18,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.floating_bearing.likelihood import BalanceLines
 from labpipe.methods.floating_bearing.stator import check_names, named_columns
-from labpipe.methods.magnetic_bearing.settings import BEARING, DIRECT, MagnetSettings
+from labpipe.methods.magnetic_bearing.settings import BEARING, FULL, MagnetSettings
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.spectra import ChannelSpectra
@@ -66,9 +66,9 @@ def levitation_of(
     chosen = [spectra.channels[n] for n in currents]
     n = len(currents)
     to_axes = np.zeros((2 * n, len(spectra.channels)))
-    to_axes[np.arange(n), currents] = 1.0
-    at_magnets, bearing, planes = _at_magnets(chosen, [spectra.channels[k] for k in displacements])
-    to_axes[n:, displacements] = at_magnets
+    to_axes[:n, currents] = np.eye(n)
+    sensors = [spectra.channels[k] for k in displacements]
+    to_axes[n:, displacements], bearing, planes = _at_magnets(chosen, sensors)
     cure = ", or raise the level, since lines at which no current exceeds its noise are left out"
     return Levitation.of(
         spectra,
@@ -144,10 +144,10 @@ def _plane(channel: Channel) -> float | str:
 
 def _places(channels: Sequence[Channel]) -> FloatArray:
     """Displacement (2, 2) [1, m] of two places in one plane by that at the origin and the slope."""
-    unknown = next((channel.name for channel in channels if channel.position is None), None)
-    if unknown is not None:
-        what = f"two bearings act in one plane, and the place of channel '{unknown}' is not known"
-        raise ConfigError(what, hint="position: 120 mm, along the axis")
+    for channel in channels:
+        if channel.position is None:
+            what = f"two bearings act in one plane, and the place of channel '{channel.name}' is not known"
+            raise ConfigError(what, hint="position: 120 mm, along the axis")
     matrix = np.column_stack([np.ones(2), np.array([channel.position for channel in channels], float)])
     if abs(np.linalg.det(matrix)) <= SAME_PLACE * np.max(np.abs(matrix)):
         what = f"channels {channels[0].name} and {channels[1].name} of one plane have one position"
@@ -183,10 +183,9 @@ def mass_matrix(
         if settings.inertia is None:
             hint = "inertia: 0.02 kg.m^2 +- 1 %, about the centre of gravity"
             raise SettingError("inertia", "a rotor on two bearings needs its moment of inertia", hint)
-        back = np.linalg.inv(
-            _places([currents[k] for k in axes]) @ np.array([[1.0, -settings.centre], [0.0, 1.0]])
-        )
-        matrix[np.ix_(axes, axes)] = back.T @ np.diag(np.array([mass, settings.inertia.value])) @ back
+        from_centre = np.array([[1.0, -settings.centre], [0.0, 1.0]])
+        back = np.linalg.inv(_places([currents[k] for k in axes]) @ from_centre)
+        matrix[np.ix_(axes, axes)] = back.T @ np.diag([mass, settings.inertia.value]) @ back
     return matrix
 
 
@@ -210,9 +209,7 @@ UNITS = {"k_i": "N/A", "k_s": "N/m", "c": "N.s/m"}
 
 @dataclass(frozen=True)
 class Between:
-    """How the current goes on between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz]
-    or at once.
-    """
+    """The current between samples: held at *rate* [Hz], behind an amplifier of *bandwidth* [Hz] or none."""
 
     rate: float
     bandwidth: float | None = None
@@ -230,11 +227,11 @@ class Between:
             later = np.expm1(-corner * t) / np.expm1(-corner * interval)
         z = np.exp(1j * np.asarray(omega) * interval)[:, None]
         ahead, behind = (1 - later) + z * later, (1 - later) / z + later
-        of_powers = (
+        of_powers = [
             ((interval - t) ** power * ahead + t**power * behind) @ weights / factorial(power)
             for power in range(1, 2 * POWERS, 2)
-        )
-        return np.asarray(self.rate**2 * np.array(list(of_powers), np.complex128))
+        ]
+        return np.asarray(self.rate**2 * np.array(of_powers))
 
 
 @dataclass(frozen=True)
@@ -263,9 +260,7 @@ class MagnetModel:
 
     def rows(self, values: FloatArray, omega: FloatArray, mass: FloatArray | None = None) -> ComplexArray:
         """B (n_line, n, 2 n) [N/A, N/m] of values (n_parameter,) at omega (n_line,) [rad/s]; another *mass*
-        (n, n) [kg] in its place.
-
-        Equation (mag-balance).
+        (n, n) [kg] in its place. Equation (mag-balance).
         """
         mass = self.mass if mass is None else mass
         matrices, w = self.matrices(values), np.asarray(omega)[:, None, None]
@@ -287,9 +282,7 @@ class MagnetModel:
         return np.concatenate([-pushed, moved + 1j * np.sin(w * interval) / interval * matrices["c"]], axis=2)
 
     def slopes(self, values: FloatArray, omega: FloatArray) -> ComplexArray:
-        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences where B is not
-        linear.
-        """
+        """dB/dp (n_parameter, n_line, n, 2 n) [N/A, N/m per parameter unit], by differences."""
         # Sizes of parameters that count, from the inertia at the middle of the band.
         middle = float(np.median(omega))
         inertia = float(np.max(np.abs(self.mass))) * middle**2
@@ -311,15 +304,13 @@ def magnet_model(
     damping: bool,
     between: Between | None,
 ) -> MagnetModel:
-    """The model of axes *labels* on their bearings with mass (n, n) [kg]: which terms of K_i, K_s and C are
-    estimated.
-    """
+    """The model of axes *labels* on their bearings, mass (n, n) [kg]: which terms are estimated."""
     n = len(labels)
     pairs = [
         (row, column)
         for row in range(n)
         for column in range(n)
-        if row == column or (coupling != DIRECT and (coupling != BEARING or bearing[row] == bearing[column]))
+        if row == column or coupling == FULL or (coupling == BEARING and bearing[row] == bearing[column])
     ]
     kinds = [kind for kind in UNITS if kind != "c" or damping]
     places = tuple((kind, row, column) for kind in kinds for row, column in pairs)

@@ -31,8 +31,7 @@ from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
 RINGS = 2
-# Poles of one ring in +x, -x, +y, -y; the coils of +x and -x carry the control current with and against the
-# bias.
+# Poles of a ring in +x, -x, +y, -y; the coils of +x and -x carry the current with and against the bias.
 ALONG_X = np.array([1.0, -1.0, 0.0, 0.0])
 ASSUMPTIONS = (
     "four poles per ring in two rings, coils on every pole, opposite coils in series",
@@ -45,9 +44,7 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Magnet(Settings):
-    """Geometry of a radial hybrid magnet: four poles per ring, and between the two rings a permanent
-    magnet.
-    """
+    """Geometry of a radial hybrid magnet: four poles per ring, a permanent magnet between the two rings."""
 
     turns: int = setting("integer", "turns of the coil on each pole")
     gap: float = quantity("effective air gap of the centred rotor", "m")
@@ -87,9 +84,7 @@ class Magnet(Settings):
 
 @dataclass(frozen=True)
 class MagnetFactors:
-    """F = k_i i + k_n x of the centred rotor: *force_per_current* k_i [N/A], *negative_stiffness* k_n [N/m],
-    bias flux density [T].
-    """
+    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m], and the bias flux density [T]."""
 
     force_per_current: float
     negative_stiffness: float
@@ -111,9 +106,7 @@ def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArr
 
 
 def magnet_force(magnet: Magnet, displacement: float, current: float) -> float:
-    """Force on the rotor in x of both rings, F = 2 sum_j (+-) phi_j^2 / (2 mu_0 A) [N]. Equation
-    (mag-force).
-    """
+    """Force on the rotor in x of both rings, 2 sum (+-) phi_j^2 / (2 mu_0 A) [N]. Equation (mag-force)."""
     fluxes = pole_fluxes(magnet, displacement, current)
     return float(RINGS * (ALONG_X @ fluxes**2) / (2 * MU_0 * magnet.pole_area))
 
@@ -132,9 +125,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
 
 
 def inferred_pole_area(turns: int, gap: float, force_per_current: float, negative_stiffness: float) -> float:
-    """A = k_i^2 g / (4 N^2 mu_0 k_n), the pole area at which the geometry has both factors, iron without
-    reluctance [m^2]. Equation (mag-area).
-    """
+    """A = k_i^2 g / (4 N^2 mu_0 k_n) [m^2] of both factors, iron without reluctance. Equation (mag-area)."""
     return force_per_current**2 * gap / (2 * RINGS * turns**2 * MU_0 * negative_stiffness)
 
 
@@ -220,14 +211,13 @@ class MagneticFile(Settings):
         return Suspended(loop, pull, self.mass)
 
     def assumptions(self) -> str:
-        of_both, poles = "mass and magnet alike in both directions", f"of order {PADE_ORDER}"
+        of_both = "mass and magnet alike in both directions"
         if self.loop.cross is None:
             of_both = "both directions alike, without coupling"
-        poles = f"poles: delay by Pade approximation {poles}"
+        poles = f"delay by Pade approximation of order {PADE_ORDER}"
         if self.loop.rate is not None:
-            sampled = f"of the loop sampled at {self.loop.rate:g} Hz"
-            poles = f"poles: {sampled}, blocks of s by the bilinear transform"
-        assumptions = [of_both, poles]
+            poles = f"of the loop sampled at {self.loop.rate:g} Hz, blocks of s by the bilinear transform"
+        assumptions = [of_both, f"poles: {poles}"]
         if self.static_stiffness is not None:
             assumptions.append("negative stiffness inferred from the static stiffness")
         if self.inferred:
@@ -262,6 +252,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     # The stiffness of an integrating controller at rest is infinite.
     at_rest = loop_stiffness(plant.loop) * plant.loop.at_rest - plant.negative_stiffness
     static = [Amount("static_stiffness", at_rest, "N/m")] if np.isfinite(at_rest) else []
+    shares = stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
     words, peak = {"stability": "unstable"}, []
     # An unstable loop has no steady response, so its |S| has no meaning.
     if not stability.unstable:
@@ -282,11 +273,9 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
             Amount("unstable_poles", float(stability.unstable), "1"),
             *peak,
         ),
-        shares=tuple(
-            Amount(f"{letter}_{name}", float(value), unit)
-            for letter, unit in (("k", "N/m"), ("c", "N.s/m"))
-            for name, (share,) in stiffness_shares(plant.loop, plant.negative_stiffness, omega).items()
-            for value in [share.real if letter == "k" else share.imag / omega[0]]
+        shares=(
+            *(Amount(f"k_{name}", float(share.real), "N/m") for name, (share,) in shares),
+            *(Amount(f"c_{name}", float(share.imag / omega[0]), "N.s/m") for name, (share,) in shares),
         ),
         poles=stability.poles,
         words={**words, "assumptions": settings.assumptions()},
@@ -295,9 +284,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
 
 
 def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
-    """Warnings: an unstable loop with its poles; poles unstable only by the approximated delay; a sensitivity
-    beyond zone B.
-    """
+    """Warnings: an unstable loop; poles unstable only by the approximated delay; S beyond zone B."""
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
         listed = ", ".join(f"{pole.real:.4g} {pole.imag:+.4g}j" for pole in right)

@@ -1,11 +1,9 @@
-"""Certificate of a closed loop: sensitivity with its zone, margins, poles and decrements, each with its
-interval, and a verdict.
-"""
+"""Certificate of a closed loop: zone, margins, poles and decrements with intervals, and a verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,26 +75,22 @@ class ClosedLoop:
     amounts: dict[str, float]
     covariance: FloatArray
     unstable: int
-    sources: tuple[Uncertainty, ...] = ()
-    changes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    bent: tuple[str, ...] = ()
+    sources: tuple[Uncertainty, ...]
+    changes: FloatArray
+    bent: tuple[str, ...]
 
     def error(self, name: str) -> float:
         """Combined standard uncertainty of an amount [its unit]."""
         place = list(self.amounts).index(name)
-        systematic = float(np.sum(self.changes[:, place] ** 2)) if len(self.changes) else 0.0
-        return float(np.sqrt(max(self.covariance[place, place], 0.0) + systematic))
+        random, systematic = self.covariance[place, place], np.sum(self.changes[:, place] ** 2)
+        return float(np.sqrt(max(random, 0.0) + systematic))
 
     def modes(self) -> list[str]:
         return [name for name in self.amounts if name.startswith("log_decrement")]
 
     def parameters(self, quantile: float) -> tuple[tuple[Parameter, ...], Budget | None]:
-        """All amounts with 95 % intervals, *quantile* standard errors to either side, of factors by their
-        logarithm, and their budget.
-        """
+        """All amounts with 95 % intervals, *quantile* standard errors to either side, and their budget."""
         plain = [self._parameter(number, name, quantile) for number, name in enumerate(self.amounts)]
-        if not self.sources:
-            return tuple(plain), None
         return with_budget(plain, self.sources, self.changes, logarithmic=LOGARITHMIC)
 
     def _parameter(self, number: int, name: str, quantile: float) -> Parameter:
@@ -126,9 +120,8 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
         return loop_amounts(other, rate, near, unstable == 0)
 
     here = at(values)
-    if not fit.usable:
-        return ClosedLoop(here, np.zeros((len(here), len(here))), unstable)
     slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters])
+    slopes = slopes.reshape(len(values), len(here))
     sources = () if fit.budget is None else fit.budget.sources
     bent = _bent(at, values, slopes, fit.covariance + fit.changes.T @ fit.changes)
     covariance = slopes.T @ fit.covariance @ slopes
@@ -177,9 +170,7 @@ def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:
 
 
 def loop_amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stable: bool) -> dict[str, float]:
-    """Margins of a stable loop, then f_n, log decrement 2 pi z / sqrt(1 - z^2) and pole of *modes* (n,)
-    [rad/s].
-    """
+    """Margins of a stable loop; f_n, log decrement 2 pi z / sqrt(1 - z^2), pole of *modes* (n,) [rad/s]."""
     amounts: dict[str, float] = {}
     if stable:
         highest = HIGHEST if rate is None else NYQUIST * rate * (1 - 1e-9)
@@ -209,9 +200,7 @@ BEYOND = 1.5
 def certificate(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """The certificate of the loops of one test. ConfigError for channels and settings that do not fit
-    together, FitError without a covariance.
-    """
+    """The certificate of a test's loops. ConfigError for what does not fit, FitError without covariance."""
     own = resolve(settings)
     if file is None:
         able = ("before", "after", "test", "log_decrement", "zone", "confidence")
@@ -222,7 +211,7 @@ def certificate(
     worst = max(peaks, key=lambda peak: peak.value)
     measured_amounts, budget = _measured_amounts(matrix, loops, peaks)
     model = None if file is None else _fit(settings, own, response, matrix, file)
-    trusted, rejected = (None, "") if model is None else (model.trusted, model.rejected)
+    trusted = None if model is None else model.trusted
     limits = [_zone_limit(own, worst, trusted), *_decrement_limits(own, model)]
     amounts, budgets = list(measured_amounts), [budget]
     if model is not None and model.loop is not None:
@@ -230,14 +219,17 @@ def certificate(
         amounts += of_loop
         budgets.append(budget)
     amounts += probabilities(limits)
-    if model is not None:
-        amounts += [*goodness(model.fit), *model.fit.parameters]
-        budgets.append(model.fit.budget)
-    unfounded = (*OF_LOOP, *settings.estimate) if rejected else ()
+    unsure = undecided(limits)
     verdict = verdict_of(limits, own.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
     statement = f"{verdict.capitalize()}: {'; '.join(parts)}."
+    if model is not None:
+        amounts += [*goodness(model.fit), *model.fit.parameters]
+        budgets.append(model.fit.budget)
+        statement += f" {fit_statement(model.fit)}"
+        if model.rejected:
+            unsure += [(name, model.rejected) for name in (*OF_LOOP, *settings.estimate)]
     return Comparison(
         name=settings.name,
         kind="certificate",
@@ -246,12 +238,12 @@ def certificate(
         points=(),
         amounts=tuple(amounts),
         verdict=verdict,
-        statement=statement if model is None else f"{statement} {fit_statement(model.fit)}",
+        statement=statement,
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
         findings=_findings(worst, model),
         budgets=tuple(filter(None, budgets)),
-        undecided=(*undecided(limits), *((name, rejected) for name in unfounded)),
+        undecided=tuple(unsure),
     )
 
 
@@ -341,17 +333,16 @@ def _fit(
         raise ConfigError(what, hint="leave cross out, or theory")
     rate = acceptance.rate or file.loop.rate
     if acceptance.filtered and rate is None:
-        raise SettingError(
-            "filtered", "'filtered' is of a loop that is sampled", "rate: 10 kHz, or leave it out"
-        )
+        what, hint = "'filtered' is of a loop that is sampled", "rate: 10 kHz, or leave it out"
+        raise SettingError("filtered", what, hint)
     fit = loop_fit([recorded_loop(acceptance, response, file)], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
     rejected = ""
     if not sound(fit):
+        check = "check signs, units, delays and the controller of the bearing file"
         cause = cause_of(acceptance, response, file, settings.estimate)
-        cause = cause or "check signs, units, delays and the controller of the bearing file"
-        rejected = f"{_why_rejected(fit)}; {cause}"
+        rejected = f"{_why_rejected(fit)}; {cause or check}"
     elif loop is not None and loop.unstable:
         rejected = f"the fitted loop is unstable, {growing(loop.unstable)}, so it cannot be the recorded one"
     return FittedModel(file, fit, loop, rejected, rate)
@@ -382,14 +373,13 @@ def _decrement_limits(acceptance: CertificateSettings, model: FittedModel | None
     if model is None and acceptance.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
-    loop = None if model is None else model.trusted
+    loop, limit = None if model is None else model.trusted, acceptance.least_decrement
     if loop is None:
-        text = f"log decrement above {acceptance.least_decrement:g} not judged, since {why}"
+        text = f"log decrement above {limit:g} not judged, since {why}"
         return [Limit("log_decrement", None, text, why)]
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
-    least = min(loop.modes(), key=lambda name: loop.amounts[name])
-    limit = acceptance.least_decrement
+    least = min(loop.modes(), key=loop.amounts.__getitem__)
     probability = min(below(-loop.amounts[name], loop.error(name), -limit) for name in loop.modes())
     of_mode = f"log decrement {loop.amounts[least]:.3g} of mode {least.rpartition('_')[2]}"
     return [Limit("log_decrement", probability, f"{of_mode}; above {limit:g} with {words(probability)}")]
@@ -400,9 +390,7 @@ def _curves(
     loops: Sequence[sensitivity.MeasuredSensitivity],
     model: FittedModel | None,
 ) -> tuple[Curve, ...]:
-    curves = []
-    frequency = matrix.response.frequency
-    fitted = np.empty(0)
+    curves, frequency, fitted = [], matrix.response.frequency, np.empty(0)
     if model is not None and model.loop is not None:
         plant = with_unknowns(model.file, model.fit.values()).levitated()
         fitted = np.abs(stability.open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
@@ -435,11 +423,9 @@ def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Findi
         findings.append(Finding("unstable-loop", what))
     findings += identifiability_findings(model.fit)
     if model.loop is not None and model.loop.bent:
-        names = ", ".join(model.loop.bent)
-        what = (
-            f"two standard errors away from the fitted unknowns, first order fails for {names} of the fitted "
-        )
-        findings.append(Finding("first-order", f"{what}loop: their intervals are rough"))
+        what = f"first order fails for {', '.join(model.loop.bent)} of the fitted loop"
+        what = f"two standard errors away from the fitted unknowns, {what}: their intervals are rough"
+        findings.append(Finding("first-order", what))
     if model.fit.chi2_p < MISMATCH_P:
         what = "What intervals there are count the misfit as noise; this model decides nothing"
         findings.append(Finding("model-mismatch", f"{model.rejected}. {what}"))

@@ -1,6 +1,4 @@
-"""Comparisons of control loops with a magnetic-bearing file: prediction over sliding bands, sensitivity,
-certificate.
-"""
+"""Comparisons of control loops with a magnetic-bearing file: prediction, sensitivity, certificate."""
 
 from __future__ import annotations
 
@@ -35,8 +33,7 @@ from labpipe.uncertainty.compare import Evidence
 from labpipe.uncertainty.observations import condition_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, TheorySettings
 
-# Least share of bands whose interval holds the prediction: 95 % are expected, and neighbouring bands share
-# lines.
+# Least share of bands that hold the prediction: 95 % are expected, and neighbouring bands share lines.
 ENOUGH = 0.9
 LETTERS = ("k", "c")
 
@@ -54,11 +51,7 @@ def prediction(settings: CompareSettings, views: Sequence[loop_problem.View]) ->
     fitted = loop_fit([view.observation for view in views], settings.estimate)
     changed = [loop_problem.with_unknowns(view.file, fitted.values()) for view in views if fitted.usable]
     after = [band for view, file in zip(views, changed, strict=False) for band in _bands(view, file, names)]
-    findings = (
-        *_unstable(views),
-        *identifiability_findings(fitted),
-        note("assumptions", views[0].file.assumptions()),
-    )
+    assumptions = note("assumptions", views[0].file.assumptions())
     stability = _stability(views)
     word = "as predicted" if min(_share(bands, name) for name in names) >= ENOUGH else "not as predicted"
     if stability[0].value:
@@ -90,7 +83,7 @@ def prediction(settings: CompareSettings, views: Sequence[loop_problem.View]) ->
             curve for n, view in enumerate(views) for curve in _curves(view, changed[n] if changed else None)
         ),
         correlations=fitted.correlations,
-        findings=findings,
+        findings=(*_unstable(views), *identifiability_findings(fitted), assumptions),
         budgets=() if fitted.budget is None else (fitted.budget,),
     )
 
@@ -119,8 +112,7 @@ def _bands(view: loop_problem.View, file: MagneticFile, names: tuple[str, str]) 
 
 def _band(test: str, fit: Fit, theory: Fit, name: str) -> ComparedBand:
     measured, predicted = fit.parameter(name).as_fitted, theory.parameter(name).value
-    # A fit without convergence has no interval and does not hold the prediction. What the model lacks it
-    # lacks on both sides.
+    # A fit without convergence holds no prediction. What the model lacks it lacks on both sides.
     low, high = measured.measured_ci95 or (float("nan"), float("nan"))
     ends = sorted((low / predicted, high / predicted))
     return ComparedBand(
@@ -196,9 +188,7 @@ def _curves(view: loop_problem.View, changed: MagneticFile | None) -> Iterator[C
 
 
 def magnetic_theory(folder: Path, settings: TheorySettings) -> MagneticTheory:
-    """The magnetic-bearing file as a function of the condition that sets one of its entries. ConfigError for
-    another kind of bearing.
-    """
+    """The bearing file over the condition that sets an entry. ConfigError for another kind of bearing."""
     file = open_bearing(folder / settings.bearing)
     if file.kind_name != MAGNETIC:
         hint = f"a loop is predicted for the kind {MAGNETIC}"

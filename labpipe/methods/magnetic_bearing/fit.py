@@ -71,9 +71,7 @@ def robust_plant(
 
 def scatter_radius(dof: float, count: int, confidence: float) -> float:
     """sqrt of the quantile of |e|^2 / var of *count* independent complex values together [1]; closed form of
-    F with 2 and 2 nu.
-
-    Equation (mag-radius).
+    F with 2 and 2 nu. Equation (mag-radius).
     """
     beyond = -np.expm1(np.log(confidence) / count)
     return float(np.sqrt(-np.log(beyond) if not np.isfinite(dof) else dof * np.expm1(-np.log(beyond) / dof)))
@@ -82,9 +80,7 @@ def scatter_radius(dof: float, count: int, confidence: float) -> float:
 def state_space(
     model: balance.MagnetModel, values: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under the
-    currents.
-    """
+    """A (2 n, 2 n), B (2 n, n), C (n, 2 n), D (n, n) [SI] of displacements and velocities under currents."""
     matrices, n = model.matrices(values), len(model.mass)
     a, b, c = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, n)), np.zeros((n, 2 * n))
     a[:n, n:], c[:, :n] = np.eye(n), np.eye(n)
@@ -163,9 +159,7 @@ def fit_notes(
     parameters: Sequence[Parameter],
     uncertainties: Uncertainties,
 ) -> tuple[str, ...]:
-    """Sign and size of what was estimated, its use as a force with all its uncertainty, and what least
-    squares without regard to noise would give.
-    """
+    """Sign, size and use of what was estimated, and what least squares without noise would give."""
     n = rotor.n_axis
     size = 1e6 * np.sqrt(np.mean(np.sum(np.abs(rotor.axes[..., n:]) ** 2, axis=0) / 2))
     notes = [
@@ -235,9 +229,7 @@ def _variance(rotor: balance.Levitation, measured: ComplexArray, inverse: Comple
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band. ConfigError where settings and channels do not fit together, FitError where
-    the lines cannot determine the parameters.
-    """
+    """One fit, or one per band. ConfigError for settings unlike the channels, FitError for too few lines."""
     if settings.mass == ESTIMATE:
         what = "the mass of the rotor must be known: all else is in proportion to it"
         raise SettingError("mass", what, "mass: 4 kg +- 5 g, in the rig file or in the fit")
@@ -250,12 +242,10 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     if np.ndim(mass) == 1:
         mass = np.diag(mass)
     rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, own)
-    between = None
-    if own.hold is not None:
-        between = balance.Between(own.hold, own.amplifier_bandwidth)
-        if rotor.omega[-1] > np.pi * between.rate:
-            what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
-            raise SettingError("hold", what, "hold is the rate of the recording")
+    if own.hold is not None and rotor.omega[-1] > np.pi * own.hold:
+        what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
+        raise SettingError("hold", what, "hold is the rate of the recording")
+    between = None if own.hold is None else balance.Between(own.hold, own.amplifier_bandwidth)
     coupling, damping = own.coupling, own.passive_damping
     model = balance.magnet_model(rotor.labels, rotor.bearing, rotor.mass, coupling, damping, between)
     best = likelihood.magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
@@ -276,15 +266,13 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *spectra.findings,
     )
     curve = draw(rotor, best)
-    plants: tuple[RobustPlant, ...] = ()
-    if curve is not None:
-        plants = (robust_plant(best, curve, spectra.covariance_dof, own.band_confidence),)
+    dof, confidence = spectra.covariance_dof, own.band_confidence
     return replace(
         fit,
         findings=findings,
         notes=fit_notes(rotor, best, parameters, settings.uncertainties),
         curve=curve,
-        details=plants,
+        details=() if curve is None else (robust_plant(best, curve, dof, confidence),),
         budget=budget if best.converged else None,
         discrepancy=error.discrepancy,
     )
@@ -333,9 +321,7 @@ LEAST_LINES = 4
 
 @dataclass(frozen=True)
 class Block:
-    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau scaled by the highest line, then ln f and
-    ln zeta.
-    """
+    """K e^{-j w tau} times low-passes: values (n,) are ln |K|, tau times the highest line, ln f, ln zeta."""
 
     order: int
     sign: float
@@ -394,9 +380,7 @@ class _Problem:
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
-    """One fit, or one per band. ConfigError for more than one input or output, FitError for lines without
-    noise or too few.
-    """
+    """One fit, or one per band. ConfigError for several ports, FitError for few lines or without noise."""
     rows, columns = select_ports(response, settings.input, settings.output)
     if len(rows) != 1 or len(columns) != 1:
         what = f"a block has one input and one output, not {len(columns)} and {len(rows)}"
@@ -421,8 +405,8 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
         if not pairs:
             raise FitError("no block can be determined by these lines", hint="widen the band")
         pairs.sort(key=lambda pair: pair[0].bic or 0.0)
-        candidates = tuple(candidate for candidate, _ in pairs) if auto else ()
-        fits.append(_report(measured, response, settings, *pairs[0][1], candidates))
+        fit = _report(measured, response, settings, *pairs[0])
+        fits.append(replace(fit, candidates=tuple(candidate for candidate, _ in pairs)) if auto else fit)
     return tuple(fits)
 
 
@@ -458,11 +442,10 @@ def _report(
     measured: Measured,
     response: FrequencyResponse,
     settings: FitSettings,
-    problem: _Problem,
-    minimum: Minimum,
-    candidates: Sequence[Candidate],
+    best: Candidate,
+    end: tuple[_Problem, Minimum],
 ) -> Fit:
-    best = _candidate(measured, problem, minimum)
+    problem, minimum = end
     jacobian = problem.jacobian(minimum.values)
     inflation = weight_uncertainty(measured, best.dof).inflation
     assert best.chi2_p is not None
@@ -486,13 +469,10 @@ def _report(
         converged=True,
         iterations=minimum.steps,
     )
-    mismatch = []
-    if factor > 1:
-        excess = (
-            f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
-            "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
-        )
-        mismatch = [Finding("model-mismatch", excess)]
+    excess = (
+        f"the residual is {factor:.3g} times the noise: the block has zeros or a higher order, or the "
+        "loop biases its FRF; `frf: {reference: r}` where the loop is closed"
+    )
     frequency = measured.omega / (2 * np.pi)
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
@@ -501,10 +481,9 @@ def _report(
         findings=(
             *estimate_findings(as_estimate, names, frequency.size),
             *goodness_findings(gof),
-            *mismatch,
+            *([Finding("model-mismatch", excess)] if factor > 1 else []),
             *response.findings,
         ),
-        candidates=tuple(candidates),
         curve=FittedCurve(
             frequency,
             measured.matrix,

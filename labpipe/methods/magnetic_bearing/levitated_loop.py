@@ -21,16 +21,13 @@ KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
 AXES = {"x": ("x",), "xy": ("x", "y")}
 ENDS = ("a", "b")
-# Runs in which all axes are excited at once, and the one without excitation; others are named after their
-# axis, as multisine-x.
+# Runs with all axes excited at once, or none; others are named after their axis, as multisine-x.
 RANDOM, SHAKER, REST, MULTISINE = "random", "shaker", "rest", "multisine"
 
 
 @dataclass(frozen=True)
 class BendingMode(Settings):
-    """One free-free bending mode in either plane, of modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = sum of
-    shape times force.
-    """
+    """One free-free mode in either plane, modal mass 1 kg: q'' + 2 zeta w_0 q' + w_0^2 q = shape * force."""
 
     frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
@@ -90,9 +87,7 @@ class SampledPid(Settings):
 
 @dataclass(frozen=True)
 class Injection(Settings):
-    """What is added in the loop, at the controller's output (a current) or input (a displacement). Its rms is
-    that of one axis.
-    """
+    """What is added at the controller's output (a current) or input (a displacement), rms of one axis."""
 
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = setting("choice", "where it is added", choices=PLACES, default="output")
@@ -229,7 +224,7 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
     directions = np.eye(len(AXES[rig.axes]))
     if rig.rotor is None:
         masses, gyroscopic, stiffnesses, own_damping = [rig.mass], [0.0], [0.0], [0.0]
-        shapes: tuple[FloatArray, FloatArray, FloatArray] = np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))
+        shapes: list[FloatArray] = [np.ones((1, 1))] * 3
     else:
         masses, gyroscopic, stiffnesses, own_damping = _inertias(rig.mass, rig.rotor)
         shapes = _shapes(rig.rotor, rig.unbalance_place)
@@ -248,33 +243,27 @@ def mechanics(rig: LevitatedRig) -> Mechanics:
     )
 
 
-def _inertias(mass: float, rotor: LongRotor) -> tuple[list[float], list[float], list[float], list[float]]:
-    rigid = [mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]
+def _inertias(mass: float, rotor: LongRotor) -> list[list[float]]:
+    rigid = [[mass, rotor.inertia], [0.0, rotor.polar_inertia], [0.0, 0.0], [0.0, 0.0]]
     if rotor.bending is None:
         return rigid
     natural = 2 * np.pi * rotor.bending.frequency
     of_mode = 1.0, 0.0, natural**2, 2 * rotor.bending.damping_ratio * natural
-    masses, gyroscopic, stiffnesses, damping = (
-        [*both, own] for both, own in zip(rigid, of_mode, strict=True)
-    )
-    return masses, gyroscopic, stiffnesses, damping
+    return [[*both, own] for both, own in zip(rigid, of_mode, strict=True)]
 
 
-def _shapes(rotor: LongRotor, unbalance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _shapes(rotor: LongRotor, unbalance: float) -> list[FloatArray]:
     """Displacement in one plane per coordinate at bearings and sensors (2, n) and at the unbalance (1, n)."""
-    places = [np.array(rotor.bearings), np.array(rotor.sensors), np.array([unbalance])]
-    rigid = [np.column_stack([np.ones_like(place), place]) for place in places]
+    places = [rotor.bearings, rotor.sensors, (unbalance,)]
+    rigid = [np.column_stack([np.ones(len(place)), place]) for place in places]
     if rotor.bending is None:
-        return rigid[0], rigid[1], rigid[2]
+        return rigid
     bending = [rotor.bending.at_bearings, rotor.bending.at_sensors, (rotor.bending.at_unbalance,)]
-    bent = [np.column_stack([shape, np.array(values)]) for shape, values in zip(rigid, bending, strict=True)]
-    return bent[0], bent[1], bent[2]
+    return [np.column_stack([shape, values]) for shape, values in zip(rigid, bending, strict=True)]
 
 
 def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
-    """Stiffness of the bearings without their currents (n_axis, n_axis) [N/m]: k_s, and what couples x with
-    y.
-    """
+    """Stiffness of the bearings without currents (n_axis, n_axis) [N/m]: k_s, and what couples x with y."""
     direct = -rig.negative_stiffness * np.eye(len(rig.labels))
     if rig.axes == "x":
         return direct
@@ -316,9 +305,7 @@ class LevitatedLoop:
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the closed loop (n_state,) [1/s], s = rate ln z. What a delay holds alone (z = 0) is left
-        out. Equation (sim-poles).
-        """
+        """Poles (n_state,) [1/s], s = rate ln z, but z = 0 that a delay holds. Equation (sim-poles)."""
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > sampled_loop.ROUNDING]
         return np.asarray(self.rate * np.log(values.astype(np.complex128)))
@@ -344,16 +331,14 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
     plant = [_sampled_plant(rig, of, part / BETWEEN) for part in range(BETWEEN + 1)]
     n_plant = plant[0][0].shape[0]
     interval = 1 / control.rate
-    terms = [
-        sampled_loop.tustin(control.derivative, 0.0, control.derivative_time, interval),
-        (control.integral * interval / 2, control.integral * interval / 2, -1.0),
-    ]
+    trapezoid = control.integral * interval / 2
+    differentiator = sampled_loop.tustin(control.derivative, 0.0, control.derivative_time, interval)
+    terms = [differentiator, (trapezoid, trapezoid, -1.0)]
     mixing = np.eye(n_axis) if control.mixing is None else np.array(control.mixing, float)
 
     def advance(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         motion, memory, waiting = np.split(state, [n_plant, n_plant + 2 * n_axis])
-        forces, others = inputs[: 2 * n_q], inputs[2 * n_q :].reshape(3, n_axis)
-        seen, added_in, added_out = others
+        forces, (seen, added_in, added_out) = inputs[: 2 * n_q], inputs[2 * n_q :].reshape(3, n_axis)
         error = mixing @ (of.at_sensors @ motion[:n_q] + seen + added_in)
         pairs = zip(terms, memory.reshape(2, n_axis), strict=True)
         parts = [b0 * error + stored for (b0, _, _), stored in pairs]
@@ -365,9 +350,8 @@ def levitated_loop(rig: LevitatedRig) -> LevitatedLoop:
         return np.concatenate([moved[-1], *memories, line[n_axis:]]), np.concatenate([output, *fine])
 
     n_state = n_plant + 2 * n_axis + control.delay * n_axis
-    return LevitatedLoop(
-        *sampled_loop.step_matrices(advance, n_state, 2 * n_q + 3 * n_axis), control.rate, n_axis
-    )
+    matrices = sampled_loop.step_matrices(advance, n_state, 2 * n_q + 3 * n_axis)
+    return LevitatedLoop(*matrices, control.rate, n_axis)
 
 
 def _sampled_plant(
@@ -381,9 +365,8 @@ def _sampled_plant(
     stiffness = of.stiffness + of.at_bearings.T @ bearing_stiffness(rig) @ of.at_bearings
     slope, outputs, forces = np.zeros((n, n)), np.zeros((n, n_axis)), np.zeros((n, n_q))
     slope[:n_q, n_q : 2 * n_q] = np.eye(n_q)
-    slope[n_q : 2 * n_q] = inverse @ np.hstack(
-        [-stiffness, -of.damping, rig.force_per_current * of.at_bearings.T]
-    )
+    push = rig.force_per_current * of.at_bearings.T
+    slope[n_q : 2 * n_q] = inverse @ np.hstack([-stiffness, -of.damping, push])
     slope[2 * n_q :, 2 * n_q :] = -corner * np.eye(n_axis)
     outputs[2 * n_q :] = corner * np.eye(n_axis)
     forces[n_q : 2 * n_q] = inverse

@@ -1,6 +1,4 @@
-"""A virtual levitated rotor in the time domain: an unstable plant that a sampled controller holds, with
-injection in the loop.
-"""
+"""A virtual levitated rotor in the time domain: an unstable plant held by a sampled controller."""
 
 from __future__ import annotations
 
@@ -32,8 +30,7 @@ from labpipe.records.rig import AXIS_ANGLES
 from labpipe.simulate.linear import TACHO, pulses
 from labpipe.simulate.virtual_rigs import Truth, kind_of_recordings, whole_numbers
 
-# Left out before a recording; that much of it, and as much after the recording, is for the logger's filter
-# [s].
+# Left out before a recording [s]; of it, and after the recording, so much for the logger's filter [s].
 SETTLING, MARGIN = 2.0, 0.05
 # Currents are small: stored in whole uA.
 FINE_CURRENT = ("uA", 1e6)
@@ -51,9 +48,8 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
     push: FloatArray = np.zeros((length + 1, n_axis))
     if name == SHAKER:
         push = _random(rig, rig.shaker, (length + 1, n_axis), rng, straight_lines=True)
-    seen = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape) + _runout(
-        rig, angle[:-1]
-    )
+    sensor_noise = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape)
+    seen = sensor_noise + _runout(rig, angle[:-1])
     output, motion, current = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
     fine = _log(rig, np.hstack([current, motion]), BETWEEN, n_sample)
     coarse: list[FloatArray] = [seen]
@@ -71,9 +67,8 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
         samples[:, :n_axis] *= rig.force_per_current
     if rig.speed > 0:
         channels.append(TACHO)
-        samples = np.column_stack(
-            [samples, pulses(angle[round(SETTLING * rig.control.rate) :: rig.decimation][:n_sample])]
-        )
+        steady = angle[round(SETTLING * rig.control.rate) :: rig.decimation]
+        samples = np.column_stack([samples, pulses(steady[:n_sample])])
     return Recording(tuple(channels), samples, rig.sample_rate, name)
 
 
@@ -199,14 +194,10 @@ def _parameters(rig: LevitatedRig, _runs: Sequence[str]) -> Truth:
     glue = "" if rig.rotor is None else "_"
     for (row, column), stiffness in np.ndenumerate(bearing_stiffness(rig)):
         x, y, direct = rig.labels[row], rig.labels[column], float(row == column)
-        of_magnet = {
-            "k_i": direct * rig.force_per_current,
-            "k_s": float(stiffness),
-            "c": direct * rig.damping,
-        }
-        values |= {f"{name}_{x}{glue}{y}": number for name, number in of_magnet.items()}
+        k_i, k_s, c = direct * rig.force_per_current, float(stiffness), direct * rig.damping
+        values |= {f"k_i_{x}{glue}{y}": k_i, f"k_s_{x}{glue}{y}": k_s, f"c_{x}{glue}{y}": c}
         if rig.rotor is None:
-            values |= {f"k_{x}_{y}": float(stiffness), f"c_{x}_{y}": direct * rig.damping}
+            values |= {f"k_{x}_{y}": k_s, f"c_{x}_{y}": c}
     return values
 
 

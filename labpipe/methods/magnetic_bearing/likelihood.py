@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -71,9 +72,7 @@ class MagnetLikelihood:
         return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there.
-        """
+        """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI units of channel and parameter]."""
         return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -137,9 +136,7 @@ def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, Complex
 
 
 def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
-    """Values (n_parameter,) [parameter units] of least squares that takes currents and displacements for free
-    of noise.
-    """
+    """Values (n_parameter,) [parameter units] of least squares that takes all channels for free of noise."""
     return _least_squares(*_linear(rotor, model)[1:])
 
 
@@ -196,9 +193,7 @@ def magnet_estimate(
 def errors_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
-    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of every given number, each
-    source once.
-    """
+    """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of each source."""
     rotor, model = problem.rotor, problem.model
     smoothed = problem.at(values).smoothed
     axes = smoothed @ rotor.to_axes.T
@@ -226,8 +221,8 @@ class LateLikelihood(MagnetLikelihood):
         return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
 
     def slopes(self, values: FloatArray) -> ComplexArray:
-        """Its derivatives (n_parameter + 1, n_line, n, n_channel) [N per SI unit of the channel and parameter
-        unit] there, the last one by s.
+        """dB/dp by channels (n_parameter + 1, n_line, n, n_channel) [N per SI units of channel and
+        parameter], the last by tau.
         """
         turned = np.where(self._late, 1j * self.rotor.omega[:, None, None], 0.0) * self.rows(values)
         return np.concatenate([super().slopes(values[:-1]) * self._turn(values[-1]), turned[None]])
@@ -265,10 +260,10 @@ def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
         grids = [(*problem.best_of_grid(best.values), problem, name) for problem, name in tried]
     except np.linalg.LinAlgError:
         return []
-    grids.sort(key=lambda grid: grid[0])
-    tried_late = (_late(problem, start_at, best, name) for _, start_at, problem, name in grids[:LIKELIEST])
-    explained = [fitted for fitted in tried_late if fitted is not None]
-    return [min(explained, key=lambda fitted: fitted[0])[1]] if explained else []
+    grids.sort(key=itemgetter(0))
+    fitted = (_late(problem, start_at, best, name) for _, start_at, problem, name in grids[:LIKELIEST])
+    explained = sorted(filter(None, fitted), key=itemgetter(0))
+    return [finding for _, finding in explained[:1]]
 
 
 def _may_be_late(rotor: Levitation) -> list[tuple[str, BoolArray]]:

@@ -74,9 +74,8 @@ class CertificateSettings(Settings):
             what = f"{len(self.before)} points ahead of a sum and {len(self.after)} behind"
             raise SettingError("before", what, "one per loop")
         if self.filtered and not (self.current or self.displacement):
-            raise SettingError(
-                "filtered", "'filtered' is of a current or displacement", "name them, or leave it out"
-            )
+            what, hint = "'filtered' is of a current or displacement", "name them, or leave it out"
+            raise SettingError("filtered", what, hint)
 
     def check_written(self, able: Sequence[str], why: str, hint: str) -> None:
         """ConfigError for an entry that is none of those that *able* take effect."""
@@ -100,7 +99,6 @@ KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
 @dataclass(frozen=True)
 class Limit:
     """A limit of acceptance: its *name*, the probability that it is kept, and the sentence that says so.
-
     Without a probability it could not be judged, and *why* says the reason.
     """
 
@@ -125,9 +123,7 @@ def words(probability: float) -> str:
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
-    """Accepted where all limits are kept with that confidence, not accepted where one is broken with it, else
-    undecided.
-    """
+    """Accepted where all limits are kept with that confidence, not where one is broken, else undecided."""
     judged = [limit.probability for limit in limits if limit.probability is not None]
     if any(probability < 1 - confidence for probability in judged):
         return BROKEN
@@ -144,10 +140,8 @@ def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
     """The probabilities that are not known, and the verdict that rests on them, with the reason."""
     unjudged = [limit for limit in limits if limit.probability is None]
     reasons = "; ".join(dict.fromkeys(limit.why for limit in unjudged))
-    return [
-        *((f"probability_{limit.name}", limit.why) for limit in unjudged),
-        *([("verdict", reasons)] if reasons else []),
-    ]
+    names = [(f"probability_{limit.name}", limit.why) for limit in unjudged]
+    return [*names, ("verdict", reasons)] if reasons else names
 
 
 RATIO, DECREMENT = "zeta", "log_decrement"
@@ -237,14 +231,11 @@ def _decrement(ratio: float) -> float:
 
 def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
     least = min(amounts, key=lambda amount: amount.value)
-    text = (
-        f"log decrement {least.value:.3g} ({least.name}) is the least; above {acceptance.least_decrement:g}"
-    )
+    limit = acceptance.least_decrement
+    text = f"log decrement {least.value:.3g} ({least.name}) is the least; above {limit:g}"
     if why:
         return Limit(DECREMENT, None, f"{text} not judged, since {why}", why)
-    probability = min(
-        below(-amount.value, amount.full_error or 0.0, -acceptance.least_decrement) for amount in amounts
-    )
+    probability = min(below(-amount.value, amount.full_error or 0.0, -limit) for amount in amounts)
     return Limit(DECREMENT, probability, f"{text} with {words(probability)}")
 
 
@@ -323,9 +314,7 @@ def recorded_loop(
 def cause_of(
     acceptance: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
 ) -> str:
-    """The one change of sign, of a power of ten or of the place of the excitation with which the fit is good;
-    empty without one.
-    """
+    """The one change of sign, power of ten or place of injection with which the fit is good, or empty."""
     changes = []
     for what, changed_acceptance, changed in _changes(acceptance, response):
         observation = recorded_loop(changed_acceptance, changed, file)

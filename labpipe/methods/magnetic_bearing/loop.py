@@ -68,9 +68,7 @@ class ControlLoop(Settings):
         _ = self.rate
 
     def blocks(self, output: str = "x", input: str = "x") -> tuple[ControllerBlock, ...]:
-        """The blocks of an element of the controller matrix. None for the PID, and for a coupling that is
-        zero.
-        """
+        """Blocks of an element of the controller matrix; none of the PID, and of a coupling that is zero."""
         if self.cross is None or (output, input) == ("x", "x"):
             return self.controller if output == input else ()
         return getattr(self.cross, output + input) or (self.controller if output == input else ())
@@ -97,9 +95,7 @@ class ControlLoop(Settings):
 
 
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
-    """The three terms of the PID by name at *omega* [rad/s], each (n_line,) [1]. A controller of blocks is
-    one term.
-    """
+    """The three terms of the PID by name at *omega* [rad/s], (n_line,) [1] each; of blocks the one."""
     if loop.controller:
         return {"controller": _in_series(loop.controller, omega)}
     s = 1j * omega
@@ -125,9 +121,7 @@ def chain_factors(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArra
 
 
 def controller(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
-    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]; see ControlLoop. Equation
-    (mag-controller).
-    """
+    """G(jw) of controller (x by x), delay, amplifier and probe, (n_line,) [1]. Equation (mag-controller)."""
     total = np.sum(list(controller_terms(loop, omega).values()), axis=0)
     for factor in chain_factors(loop, omega).values():
         total = total * factor
@@ -163,9 +157,7 @@ def inferred_negative_stiffness(loop: ControlLoop, static: float) -> float:
 
 
 def dynamic_stiffness(loop: ControlLoop, negative_stiffness: float, omega: FloatArray) -> ComplexArray:
-    """K_eq(w) + j w C_eq(w) = K G(jw) - k_n of one bearing at *omega* [rad/s], (n_line,) [N/m]. Equation
-    (mag-stiffness).
-    """
+    """K_eq + j w C_eq = K G(jw) - k_n at *omega* [rad/s], (n_line,) [N/m]. Equation (mag-stiffness)."""
     return loop_stiffness(loop) * controller(loop, omega) - negative_stiffness
 
 
@@ -217,9 +209,7 @@ class Margins:
 
 
 def margins(loop: LoopTransfer, highest: float) -> Margins:
-    """Margins of *loop*, L(omega) with omega (n_line,) [rad/s], of a stable closed loop, from 0 Hz up to
-    *highest* [Hz]. Equation (mag-margins).
-    """
+    """Margins of a stable *loop*, L of omega (n_line,) [rad/s], to *highest* [Hz]. Equation (mag-margins)."""
     omega = 2 * np.pi * np.concatenate([[0.0], np.geomspace(LOWEST * highest, highest, LINES)])
     values = loop(omega)
     finite = np.isfinite(values)
@@ -241,12 +231,9 @@ def margins(loop: LoopTransfer, highest: float) -> Margins:
 
 
 def _gains(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> list[float]:
-    gains = [-1 / values[0].real] if omega[0] == 0 and values[0].real < 0 else []
-    for place in _roots(lambda w: loop(w).imag, omega, values.imag):
-        at = loop(np.array([place]))[0].real
-        if at < 0:
-            gains.append(-1 / at)
-    return [float(gain) for gain in gains]
+    places = _roots(lambda w: loop(w).imag, omega, values.imag)
+    real = [*values[omega == 0].real, *(loop(np.array([place]))[0].real for place in places)]
+    return [float(-1 / at) for at in real if at < 0]
 
 
 def _phases(loop: LoopTransfer, omega: FloatArray, values: ComplexArray) -> tuple[list[float], list[float]]:

@@ -20,8 +20,7 @@ from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget
 from labpipe.uncertainty.amounts import chance, with_budget, with_error
 
-# An unknown less than this share of its start value above zero stands at the edge where no bearing can have
-# one below.
+# An unknown less than this share of its start value above zero is at the edge of what a bearing can have.
 NEAR = 1e-2
 # The share of its start value that makes an unknown zero.
 ZERO = -1.0
@@ -29,9 +28,7 @@ ZERO = -1.0
 
 @dataclass(frozen=True)
 class HeldProblem:
-    """The problem over some of its parameters, *free* (n_parameter,), the others held at u (n_parameter,)
-    [1].
-    """
+    """The problem over its *free* parameters (n_parameter,), the others held at u (n_parameter,) [1]."""
 
     problem: LoopProblem
     u: FloatArray
@@ -149,9 +146,7 @@ class LoopMinimum:
         return self.inverse[len(self.problem.unknowns) :]
 
     def random(self, inflation: float) -> FloatArray:
-        """Covariance (n_parameter, n_parameter) [1] of u by the noise of the responses alone, whose weights
-        are *inflation* [1] too light.
-        """
+        """Covariance (n_parameter, n_parameter) [1] of u by noise, its weights *inflation* too light."""
         return np.asarray(inflation * (self.inverse - self.steps.T @ self.steps))
 
     def combined(self, inflation: float) -> FloatArray:
@@ -198,9 +193,7 @@ class LoopMinimum:
         return None
 
     def bent(self, covariance: FloatArray) -> FloatArray:
-        """Second order over first order (n_unknown,) [1] of each unknown, REACH combined standard errors
-        away. Equation (comp-bent).
-        """
+        """Second over first order (n_unknown,) [1], REACH standard errors away. Equation (comp-bent)."""
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
         for column in range(bends.size):
@@ -354,9 +347,7 @@ def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tu
 
 
 def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, *, curved: bool) -> LoopFit:
-    """The fit with standard errors by noise from (J^T J)^-1, the changes by every source, and correlations by
-    both. *curved*: ends of intervals follow the response where it bends.
-    """
+    """With errors by noise, changes by sources, and where *curved* ends that follow the response."""
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
     random, steps = at_end.random(inflation), at_end.steps
@@ -423,28 +414,22 @@ def goodness(fit: LoopFit) -> list[Parameter]:
 
 
 def identifiability_findings(fit: LoopFit) -> list[Finding]:
-    """Warnings: unknowns that are not, or hardly, separately identifiable, a fit without convergence, or
-    errors beyond first order.
-    """
+    """Warnings: unknowns hardly told apart, no convergence, an end at zero, errors beyond first order."""
     if not fit.parameters:
         return list(fit.contradicted)
-    together = " and ".join(fit.alike)
+    together, number = " and ".join(fit.alike), fit.condition_number
     if not fit.determined:
-        what = (
-            f"{together} cannot be told apart by this response (condition number "
-            f"{fit.condition_number:.2g}): standard errors are omitted"
-        )
-        return [Finding("collinear", f"{what}. Fit one of them, and state the other.")]
+        what = f"{together} cannot be told apart by this response (condition number {number:.2g})"
+        cure = "standard errors are omitted. Fit one of them, and state the other."
+        return [Finding("collinear", f"{what}: {cure}")]
     if not fit.converged:
         what = "the fit of the loop's unknowns did not converge; its values are those of the last step"
         return [Finding("no-convergence", what)]
     findings = []
-    if fit.condition_number > COLLINEAR_CONDITION:
-        what = (
-            f"{together} are hardly told apart (condition number {fit.condition_number:.3g}, limit "
-            f"{COLLINEAR_CONDITION:g})"
-        )
-        findings.append(Finding("collinear", f"{what}: their errors are large and correlated"))
+    if number > COLLINEAR_CONDITION:
+        limit = f"condition number {number:.3g}, limit {COLLINEAR_CONDITION:g}"
+        what = f"{together} are hardly told apart ({limit}): their errors are large and correlated"
+        findings.append(Finding("collinear", what))
     if fit.at_zero:
         names = " and ".join(fit.at_zero)
         what = f"{names} would fit best below zero, which no bearing has, and is held at zero"

@@ -257,9 +257,7 @@ class LoopProblem:
         return with_unknowns(observation.file, self.file_values(u)), (support[0], support[1])
 
     def changes(self, u: FloatArray) -> FloatArray:
-        """Change (n_source, n_datum) [1] of the residuals of all responses by one standard uncertainty of
-        each source beside the support.
-        """
+        """Change (n_source, n_datum) [1] of all residuals by each source beside the support."""
         others = [source.source for source in self.sources[len(self.support) :]]
         parts = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
@@ -270,9 +268,7 @@ class LoopProblem:
         return np.hstack(parts)
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """(n_equation, n_parameter) [1] by centred differences, at the edge of what a bearing can have by
-        one-sided ones; the residual is linear in the sources.
-        """
+        """(n_equation, n_parameter) [1] by centred, at an edge one-sided differences; linear in sources."""
         shared = self.n_shared
         count = sum(loop.measured.n_equation for loop in self.observations) + u.size - len(self.unknowns)
         slopes = np.zeros((count, u.size))
@@ -293,9 +289,7 @@ class LoopProblem:
         return (ahead - behind) / STEP
 
     def residual_within(self, u: FloatArray) -> FloatArray | None:
-        """The residual (n_equation,) [1] at u (n_parameter,) [1]. None for values that no bearing can
-        have.
-        """
+        """The residual (n_equation,) [1] at u (n_parameter,) [1]; None for what no bearing can have."""
         try:
             return self.residual(u)
         except ConfigError:
@@ -343,9 +337,7 @@ class View:
 
 
 def checked_view(view: View) -> View:
-    """The view. ConfigError for fits whose coefficients are not those of one bearing in one direction, or
-    without known mass.
-    """
+    """The view. ConfigError for fits of other than one bearing in one direction, or without known mass."""
     name = view.settings.name
     if not view.settings.kind.one_direction:
         able = " and ".join(model for model in MODELS if model_kind(model).one_direction)
@@ -378,12 +370,9 @@ def _cosine(output: Port, force: Port) -> float:
 def receptance(
     view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float] | None = None
 ) -> ComplexArray:
-    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N].
-
-    *support* (k_s, c_s), default: nominal.
-    """
-    stiffness, damping = support or (view.support.stiffness.value, view.support.damping.value)
-    return _directions(view) / _total(view, file, omega, (stiffness, damping))[:, None, None]
+    """cos / (k_s + j w c_s + n (K G(jw) - k_n) - m w^2), (n_line, n_output, n_input) [m/N]."""
+    support = support or (view.support.stiffness.value, view.support.damping.value)
+    return _directions(view) / _total(view, file, omega, support)[:, None, None]
 
 
 def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
@@ -442,9 +431,7 @@ def _sines(measured: Measured, turned_port: Port) -> FloatArray:
 
 
 def predicted_fits(view: View, file: MagneticFile) -> Sequence[Fit]:
-    """The same fits of the predicted response, on the same lines with the same weights, for comparison with
-    the measured fits.
-    """
+    """The fits of the predicted response, on the same lines with the same weights."""
     frequency, matrix = view.response.frequency, view.response.matrix.copy()
     form = receptance_factor(view.response.form, frequency)[:, None, None]
     part = np.ix_(range(frequency.size), *view.ports)

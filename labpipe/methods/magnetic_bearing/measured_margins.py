@@ -1,6 +1,4 @@
-"""Peak of S and margins of L without a model: polynomials through neighbouring lines, over as many of them as
-a parabola follows.
-"""
+"""Peak of S and margins of L without a model: polynomials through as many lines as a parabola follows."""
 
 from __future__ import annotations
 
@@ -28,8 +26,7 @@ FEWEST, LOCAL, GROWTH = 5, 11, 1.3
 LINE, PARABOLA, QUARTIC = 2, 3, 5
 # Chance below which a parabola leaves more than noise of its lines.
 ENOUGH = 0.05
-# Standard errors within which a function is zero all the way from one crossing to the next: both are one,
-# crossed by noise.
+# Standard errors within which all between two crossings is zero: both are one, crossed by noise.
 SURE = 3.0
 # Standard errors that a gain margin is away from zero where it is told.
 TELLING = 4.0
@@ -38,8 +35,7 @@ SELDOM = 3.6
 # How names of margins without a model begin.
 MEASURED = "measured_"
 FINE = 32
-# Places at which L is followed around a crossing of its imaginary part, over its lines but this share at
-# either end.
+# Places at which L is followed around Im L = 0, over its lines but this share at either end.
 PLACES, EDGE = 257, 8
 # Share of a response below which what is left is rounding.
 ROUNDING = 1e-12
@@ -58,9 +54,7 @@ class Course:
     dof: float
 
     def follows(self, starts: IntArray, width: int) -> BoolArray:
-        """Whether a parabola over log omega leaves no more than noise of *width* lines, from each of *starts*
-        (n,) on. Equation (comp-course).
-        """
+        """Whether *width* lines from *starts* (n,) on are a parabola and noise. Equation (comp-course)."""
         if width <= PARABOLA:
             return np.ones(starts.size, dtype=bool)
         lines = starts[:, None] + np.arange(width)
@@ -82,9 +76,7 @@ class Course:
         return bool(self.follows(np.array([lines.start]), lines.stop - lines.start)[0])
 
     def smoother(self) -> FloatArray:
-        """(n_line, n_line) [1]: from the lines as measured to every one by those around it, as many as a
-        parabola follows, up to LOCAL.
-        """
+        """(n_line, n_line) [1]: every line by those around it, up to LOCAL, that a parabola follows."""
         count = self.omega.size
         weights, open_lines = np.zeros((count, count)), np.arange(count)
         for width in range(LOCAL, FEWEST - 1, -2):
@@ -150,9 +142,7 @@ class Smooth:
     changes: ComplexArray
 
     def of(self, margin: Margin, n: int) -> Found:
-        """A margin between the places n and n + 1, its standard error and its changes. Equation
-        (comp-margins-change).
-        """
+        """A margin between the places n and n + 1, with error and changes. Equation (comp-margins-change)."""
         part = slice(n, n + 2)
         pair, places, total = self.values[part], self.omega[part], 0.0
         moved = np.zeros(len(self.changes))
@@ -197,10 +187,9 @@ def measured_margins(
         nearest = max if name == "gain_margin_lower" else min
         value, error, moved = nearest(margins, key=itemgetter(0))
         shown = f"{MEASURED}{name}{suffix}"
-        if name in units:
-            found.append((with_error(shown, units[name], value, error, quantile), moved))
-        else:
-            found.append((factor(shown, value, error, quantile), moved))
+        of = value, error, quantile
+        amount = with_error(shown, units[name], *of) if name in units else factor(shown, *of)
+        found.append((amount, moved))
     return found
 
 
@@ -329,18 +318,14 @@ def _delay(values: ComplexArray, omega: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Crest:
-    """The highest |S| by itself: value [1] and place [rad/s], each with its standard error by noise and its
-    changes (n_source,) by every source.
-    """
+    """The highest |S|: value [1] and place [rad/s], each with its error by noise and changes (n_source,)."""
 
     value: Found
     place: Found
 
 
 def crest_of(course: Course) -> Crest | None:
-    """The maximum of |S| by polynomials through as many lines around it as a parabola follows; None where it
-    lies at an end of the lines. Equation (comp-peak).
-    """
+    """The maximum of |S| by as many lines as a parabola follows, None at an end. Equation (comp-peak)."""
     count = course.omega.size
     if count < FEWEST:
         return None
@@ -357,9 +342,8 @@ def crest_of(course: Course) -> Crest | None:
     top = min(max(top, 1), places.size - 2)
     crest = _crest(course.at(places, lines), of_place, top, follows)
     place, error, changes = crest.place
-    return replace(
-        crest, place=(place, float(np.hypot(error, truncation(course, of_place, top, lines))), changes)
-    )
+    error = float(np.hypot(error, truncation(course, of_place, top, lines)))
+    return replace(crest, place=(place, error, changes))
 
 
 def _crest_lines(course: Course) -> tuple[slice, bool]:

@@ -1,6 +1,4 @@
-"""The plant for robust control design: nominal response with the band that holds the true one, and the
-weight.
-"""
+"""The plant for robust control design: nominal response, the band that holds the true one, the weight."""
 
 from __future__ import annotations
 

@@ -30,9 +30,7 @@ OUTPUTS = ("reading", "before", "after", "output", "current")
 
 @dataclass(frozen=True)
 class Suspended:
-    """Moving parts in one direction: *mass* [kg] on *bearings* equal bearings, and springs [N/m] and guides
-    [N.s/m] in parallel.
-    """
+    """Moving *mass* [kg] in one direction on equal *bearings*, springs [N/m] and guides [N.s/m]."""
 
     loop: ControlLoop
     negative_stiffness: float
@@ -57,9 +55,7 @@ class SampledLoop:
 
     def run(self, inputs: FloatArray) -> FloatArray:
         """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m,
-        V], from rest.
-
-        ConfigError for an unstable loop.
+        V], from rest. ConfigError for an unstable loop.
         """
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
@@ -72,9 +68,7 @@ class SampledLoop:
         return states @ self.c.T + inputs @ self.d.T
 
     def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force, noise and injection at *omega* [rad/s], (n_line, 5, 3). The force as `straight` feeds
-        it.
-        """
+        """z over force (as `straight` feeds it), noise and injection at *omega* [rad/s], (n_line, 5, 3)."""
         z = np.exp(1j * omega / self.rate)[:, None, None]
         inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
         whole = self.c @ inverse @ self.b + self.d
@@ -123,21 +117,35 @@ class SampledPlant:
     hold: FloatArray
     ramp: FloatArray
 
+    @property
+    def probe(self) -> int:
+        """Place of what the probe reads among the states."""
+        return 3 if len(self.step) == 4 else 0
+
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction as matrices. ConfigError for what cannot be sampled, see
-    `sampled_matrix`.
-    """
+    """The closed loop of one direction. ConfigError for what cannot be sampled, see `sampled_matrix`."""
     if plant.loop.cross is not None:
         hint = "leave cross out"
         raise SettingError("cross", "a cross-coupled controller has no loop of one direction", hint)
     law = sampled_law(plant.loop, rate, plant.loop.blocks())
-    motion, whole = sampled_plant(plant, rate)
+    held, whole = sampled_plant(plant, rate)
+    n, end = len(held.step), len(held.step) + len(law.a)
 
     def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return _step(plant.loop, motion, law, state, inputs)
+        # Motion, the controller's memory, voltages on their way, oldest first.
+        motion, memory, waiting = np.split(state, [n, end])
+        reading = motion[held.probe] + inputs[2]
+        before = plant.loop.sensor * reading
+        after = before + inputs[3]
+        output = float(law.c @ memory + law.d * after)
+        # The voltage that arrives within this interval takes over from the one before it.
+        line = np.append(waiting, output)
+        moved = held.step @ motion + held.hold @ line[:2] + held.ramp @ inputs[:2]
+        moved = np.concatenate([moved, law.a @ memory + law.b * after, line[1:]])
+        return moved, np.array([reading, before, after, output, motion[2]])
 
-    return SampledLoop(*step_matrices(step, motion.step.shape[0] + len(law.a) + whole + 1, len(INPUTS)), rate)
+    return SampledLoop(*step_matrices(step, end + whole + 1, len(INPUTS)), rate)
 
 
 def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
@@ -154,7 +162,7 @@ def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
 
     def step(state: FloatArray) -> FloatArray:
         moved = np.empty_like(state)
-        before = [plant.loop.sensor * state[k * n + (3 if n == 4 else 0)] for k in range(2)]
+        before = [plant.loop.sensor * state[k * n + motion.probe] for k in range(2)]
         for k in range(2):
             output = 0.0
             for j in range(2):
@@ -173,10 +181,7 @@ def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class SampledLaw:
-    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: a controller between two samples.
-
-    A (n, n), b and c (n,), d [1].
-    """
+    """m[k+1] = A m[k] + b e[k], u[k] = c m[k] + d e[k]: A (n, n), b and c (n,), d [1] of a controller."""
 
     a: FloatArray
     b: FloatArray
@@ -216,9 +221,8 @@ def sampled_law(
         inward, n = np.array([b1 - a1 * b0, b2 - a2 * b0]), len(law.a)
         a = np.zeros((n + 2, n + 2))
         a[:n, :n], a[n:, n:], a[n:, :n] = law.a, [[-a1, 1.0], [-a2, 0.0]], np.outer(inward, law.c)
-        law = SampledLaw(
-            a, np.append(law.b, inward * law.d), np.append(b0 * law.c, [1.0, 0.0]), float(b0) * law.d
-        )
+        b, c = np.append(law.b, inward * law.d), np.append(b0 * law.c, [1.0, 0.0])
+        law = SampledLaw(a, b, c, float(b0) * law.d)
     return law
 
 
@@ -232,9 +236,7 @@ def _sampled_pid(loop: ControlLoop, rate: float) -> SampledLaw:
 
 @lru_cache(maxsize=16)
 def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
-    """Motion between samples, and the whole sampling intervals of the delay, at *rate* [Hz]. ConfigError for
-    one shorter than the hold.
-    """
+    """Motion, and the delay's whole sampling intervals; ConfigError for one shorter than the hold."""
     loop = plant.loop
     intervals = loop.delay * rate - 0.5
     if intervals < -1e-9:
@@ -249,30 +251,9 @@ def sampled_plant(plant: Suspended, rate: float) -> tuple[SampledPlant, int]:
     return motion, whole
 
 
-def _step(
-    loop: ControlLoop, plant: SampledPlant, law: SampledLaw, state: FloatArray, inputs: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """One sampling interval. state: motion, the controller's memory, voltages on their way, oldest first."""
-    n, end = plant.step.shape[0], plant.step.shape[0] + len(law.a)
-    motion, memory, waiting = state[:n], state[n:end], state[end:]
-    position = motion[3] if n == 4 else motion[0]
-    reading = position + inputs[2]
-    before = loop.sensor * reading
-    after = before + inputs[3]
-    output = float(law.c @ memory + law.d * after)
-    # The voltage that arrives within this interval takes over from the one before it.
-    line = np.append(waiting, output)
-    moved = plant.step @ motion + plant.hold @ line[:2] + plant.ramp @ inputs[:2]
-    return np.concatenate([moved, law.a @ memory + law.b * after, line[1:]]), np.array(
-        [reading, before, after, output, motion[2]]
-    )
-
-
 def tustin(derivative: float, constant: float, time: float, interval: float) -> tuple[float, float, float]:
     """(b0, b1, a1) [unit of *constant*] of (constant + derivative s) / (1 + s time) by the bilinear
-    transform; *time*, *interval* [s].
-
-    Equation (mag-tustin).
+    transform; *time*, *interval* [s]. Equation (mag-tustin).
     """
     fast = 2 / interval
     whole, slope = 1 + fast * time, fast * derivative
@@ -293,18 +274,15 @@ def _plant(plant: Suspended, late: float, interval: float) -> SampledPlant:
     rest, newest, _ = integrals(slope, voltage[:, None], (1 - late) * interval)
     _, oldest, _ = integrals(slope, voltage[:, None], late * interval)
     _, constant, rising = integrals(slope, force[:, None], interval)
-    return SampledPlant(
-        step, np.hstack([rest @ oldest, newest]), np.hstack([constant - rising / interval, rising / interval])
-    )
+    ramp = np.hstack([constant - rising / interval, rising / interval])
+    return SampledPlant(step, np.hstack([rest @ oldest, newest]), ramp)
 
 
 def integrals(
     slope: FloatArray, inputs: FloatArray, time: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """e^{A t} (n, n), and the responses (n, m) to a constant 1 and to a ramp t of every input after *time*
-    [s] (Van Loan, 1978).
-
-    *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
+    [s] (Van Loan, 1978). *slope* A (n, n) [1/s], *inputs* B (n, m) [unit of the state per second].
     """
     n, m = inputs.shape
     joint = np.zeros((n + 2 * m, n + 2 * m))
@@ -316,9 +294,7 @@ def integrals(
 def step_matrices(
     step: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], n_state: int, n_input: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A, B, C, D of a linear *step* (state, inputs) -> (next state, outputs) [any unit], column by column:
-    (n_state, n_state), ...
-    """
+    """A (n_state, n_state), B, C, D of a linear *step* (state, inputs) -> (next, outputs) [any unit]."""
     still = np.zeros(n_input)
     by_state = [step(unit, still) for unit in np.eye(n_state)]
     by_input = [step(np.zeros(n_state), unit) for unit in np.eye(n_input)]

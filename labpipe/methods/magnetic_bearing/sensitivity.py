@@ -1,6 +1,4 @@
-"""Sensitivity of one control loop, or of several that are coupled, from an excitation added in the loop: its
-peak, the zone of ISO 14839-3, and the prediction.
-"""
+"""Sensitivity of loops from excitations added in them: its peak, zone of ISO 14839-3, prediction."""
 
 from __future__ import annotations
 
@@ -171,9 +169,7 @@ def measured_sensitivity(response: FrequencyResponse, before: str, after: str) -
 
 
 def peak_of(measured: MeasuredSensitivity) -> Peak:
-    """The maximum of |S| by a polynomial through the lines around it; at an edge of the band the highest line
-    itself. Equation (comp-peak-change).
-    """
+    """The maximum of |S| by a polynomial, at an edge the highest line. Equation (comp-peak-change)."""
     crest = crest_of(measured.course)
     if crest is None:
         top = int(np.argmax(measured.size))
@@ -189,9 +185,7 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
 def loop_sensitivity(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
-    """Peak of the measured |S| with its zone, and the prediction of the bearing file, whose unknowns may be
-    fitted to S.
-    """
+    """Peak of the measured |S| with its zone, and the prediction of the bearing file."""
     measured = measured_sensitivity(response, settings.before, settings.after)
     peak = peak_of(measured)
     zone = zone_of(peak.value)
@@ -236,9 +230,8 @@ def _size(file: MagneticFile, frequency: FloatArray) -> FloatArray:
 def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
     parts = {} if predicted is None else {"theory": predicted}
     if theory is not None and theory[1].usable:
-        parts["matched"] = _size(
-            loop_problem.with_unknowns(theory[0], theory[1].values()), measured.frequency
-        )
+        changed = loop_problem.with_unknowns(theory[0], theory[1].values())
+        parts["matched"] = _size(changed, measured.frequency)
     reach = measured.quantile * measured.combined
     parts |= {"measured": measured.size, "low": measured.size - reach, "high": measured.size + reach}
     return curve_of(measured.response.name, "sensitivity", "1", frequency=measured.frequency, **parts)
@@ -362,9 +355,7 @@ def _errors(
 ) -> tuple[MatrixError, ...]:
     """dH (n_line, n_output, n_input) by every source in the channels and their sums."""
     outputs, inputs = places
-    stated = (
-        calibration.uncertainty for channel in spectra.channels for calibration in channel.uncertainties
-    )
+    stated = (entry.uncertainty for channel in spectra.channels for entry in channel.uncertainties)
     uncertainties = {uncertainty.source: uncertainty for uncertainty in stated}
     omega = 2 * np.pi * spectra.frequency[:, None, None]
     errors = []
@@ -425,17 +416,13 @@ class SensitivityMatrix:
         )
 
     def largest(self) -> tuple[FloatArray, FloatArray]:
-        """The largest singular value of S and its standard error, d sigma = Re u^H dS v, (n_line,) each
-        [1].
-        """
+        """The largest singular value of S and its standard error, d s = Re u^H dS v, (n_line,) each [1]."""
         slopes = self._largest_slopes
         variance = np.einsum("lc,lcd,ld->l", slopes, self.covariance, slopes.conj()).real
         return np.linalg.svd(self.values, compute_uv=False)[:, 0], np.sqrt(np.maximum(variance / 2, 0.0))
 
     def largest_changes(self) -> FloatArray:
-        """Changes of the largest singular value by every source, (n_source, n_line) [1]. Equation
-        (mag-singular-change).
-        """
+        """Its changes by every source, (n_source, n_line) [1]. Equation (mag-singular-change)."""
         slopes = self._largest_slopes
         changes = [np.sum(slopes * error.change.reshape(slopes.shape), axis=1).real for error in self.errors]
         return np.array(changes).reshape(len(self.errors), len(slopes))

@@ -20,9 +20,7 @@ ORDERS = (AUTO, "0", "1", "2", "3")
 
 @dataclass(frozen=True)
 class MagnetSettings(Settings):
-    """What of K_i and K_s is estimated, what is known of the rotor, and how the current goes on between
-    samples.
-    """
+    """What of K_i and K_s is estimated, what is known of the rotor, and the current between samples."""
 
     coupling: str = setting(
         "choice",

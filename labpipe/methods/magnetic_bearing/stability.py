@@ -1,6 +1,4 @@
-"""Stability of a mass on a magnetic bearing: closed-loop poles, the argument principle, and the loop cut
-open.
-"""
+"""Stability of a mass on a magnetic bearing: closed-loop poles, argument principle, the loop cut open."""
 
 from __future__ import annotations
 
@@ -37,8 +35,7 @@ PADE_ORDER = 4
 EMPTY, MARGINAL = 1e-6, 1e-9
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
 ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))
-# Frequencies searched [Hz]: from far below any lag to the upper limit of the standard, three times the speed
-# or 2 kHz.
+# Frequencies searched [Hz]: from far below any lag to the standard's limit, three times the speed or 2 kHz.
 SEARCH = (1e-3, 2000.0, 20_001)
 TURNING = (1e-5, 1e7, 400_001)
 
@@ -72,15 +69,15 @@ def characteristic_polynomial(plant: Suspended, time: float) -> Polynomial:
         behind = behind * Polynomial([1.0, corner / time])
     ahead = loop_stiffness(loop) * ahead
     rotor = Polynomial([-plant.negative_stiffness, 0.0, plant.mass / time**2])
-    above, below = _controller_polynomials(loop, time)
-    x = rotor * below * behind + above * ahead
+    above, below_x = _controller_polynomials(loop, time)
+    x = rotor * below_x * behind + above * ahead
     if loop.cross is None:
         return x
-    above, below = _polynomials(loop.blocks("y", "y"), time)
-    y = rotor * below * behind + above * ahead
-    (xy, below_xy), (yx, below_yx) = (_polynomials(loop.blocks(*pair), time) for pair in ("xy", "yx"))
-    x_below = _controller_polynomials(loop, time)[1]
-    return x * y * below_xy * below_yx - xy * yx * ahead**2 * x_below * below
+    (above, below_y), (xy, below_xy), (yx, below_yx) = (
+        _polynomials(loop.blocks(*pair), time) for pair in ("yy", "xy", "yx")
+    )
+    y = rotor * below_y * behind + above * ahead
+    return x * y * below_xy * below_yx - xy * yx * ahead**2 * below_x * below_y
 
 
 def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial, Polynomial]:
@@ -107,16 +104,13 @@ def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Poly
 
 
 def sample(plant: Suspended, rate: float) -> FloatArray:
-    """Matrix (n_state, n_state) [1] from sample to sample at *rate* [Hz], of one direction unless the
-    controller is a matrix.
-    """
+    """Matrix (n_state, n_state) [1] from sample to sample, of both directions for a controller matrix."""
     return sampled_loop(plant, rate).a if plant.loop.cross is None else sampled_matrix(plant, rate)
 
 
 def closed_loop_poles(plant: Suspended) -> ComplexArray:
-    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation.
-
-    With discrete blocks s = f_s ln z of the sampled loop, without approximation.
+    """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation. With
+    discrete blocks s = f_s ln z of the sampled loop, without approximation.
     """
     rate = plant.loop.rate
     if rate is not None:
@@ -126,9 +120,7 @@ def closed_loop_poles(plant: Suspended) -> ComplexArray:
 
 
 def sampled_poles(matrix: FloatArray, rate: float) -> ComplexArray:
-    """s = f_s ln z [rad/s] of the eigenvalues z of *matrix* (n_state, n_state) [1]; those at z = 0, empty
-    memory, are left out. Equation (mag-sampled).
-    """
+    """s = f_s ln z [rad/s], z of *matrix* (n_state, n_state) [1] but empty z = 0. Equation (mag-sampled)."""
     z = np.asarray(np.linalg.eigvals(matrix), np.complex128)
     return np.asarray(rate * np.log(z[np.abs(z) > EMPTY]), np.complex128)
 
@@ -150,35 +142,29 @@ def unstable_poles(plant: Suspended) -> int:
     omega = 2 * np.pi * np.geomspace(*TURNING)
     inertia = plant.mass * omega**2
     if loop.cross is None:
-        curve = dynamic_stiffness(loop, plant.negative_stiffness, omega) - inertia
+        pairs, turned = ["xx"], dynamic_stiffness(loop, plant.negative_stiffness, omega) - inertia
     else:
-        dynamic = stiffness_matrix(loop, plant.negative_stiffness, omega)
-        curve = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
-    elements = [loop.blocks(*pair) for pair in (["xx"] if loop.cross is None else ["xx", "xy", "yx", "yy"])]
-    poles = np.array([pole for blocks in elements for pole in in_series(blocks)[0].poles], np.complex128)
-    # Stable poles turn by what they add to n, so that only the others count; those at s = 0 as the slow ones
-    # of a damped loop.
-    turned = curve
+        pairs, dynamic = ["xx", "xy", "yx", "yy"], stiffness_matrix(loop, plant.negative_stiffness, omega)
+        turned = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
+    poles = [pole for pair in pairs for pole in in_series(loop.blocks(*pair))[0].poles]
+    # Stable poles turn by what they add to n, so that only others count, at s = 0 as slow damped ones.
     for pole in poles:
         turned = turned * (1j * omega - pole)
     # From 0 Hz, where D is real, to the frequencies where the mass dominates.
     angle = np.unwrap(np.angle(turned))
     first = np.angle(turned[0]) - (0.0 if turned[0].real > 0 else np.pi)
     change = float(angle[-1] - angle[0] + np.angle(np.exp(1j * first)))
-    degree = 2 * (1 if loop.cross is None else 2) + poles.size
+    degree = (2 if loop.cross is None else 4) + len(poles)
     return round((degree - 2 * change / np.pi) / 2)
 
 
 def sensitivity(plant: Suspended, omega: FloatArray) -> ComplexArray:
-    """S(jw) = 1 / (1 + L) with the loop L = K G / (-m w^2 - k_n), (n_line,) [1]; ISO 14839-3. Of a controller
-    matrix that of x.
-    """
+    """S(jw) = 1 / (1 + L), L = K G / (-m w^2 - k_n), (n_line,) [1], ISO 14839-3; of a matrix that of x."""
     if plant.loop.cross is not None:
         return sensitivity_matrix(plant, omega)[:, 0, 0]
     rotor = -plant.mass * omega.astype(np.complex128) ** 2 - plant.negative_stiffness
     controlled = loop_stiffness(plant.loop) * controller(plant.loop, omega)
-    # An integrator at rest: S = 0.
-    # At a pole on the axis it is infinite, and says so.
+    # An integrator at rest: S = 0. At a pole on the axis it is infinite, and says so.
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = rotor / (rotor + controlled)
     return np.where(np.isfinite(controlled), ratio, 0.0)
@@ -195,9 +181,7 @@ def sensitivity_matrix(plant: Suspended, omega: FloatArray) -> ComplexArray:
 
 
 def zone_of(peak: float) -> str:
-    """Zone of ISO 14839-3 of a sensitivity's peak: A below 3 (9.5 dB), B below 4, C below 5, D above.
-    Equation (mag-zone).
-    """
+    """Zone of ISO 14839-3 of a peak of |S|: A below 3 (9.5 dB), B 4, C 5, D above. Equation (mag-zone)."""
     return next((zone for zone, end in ZONES if peak < end), "D")
 
 
@@ -266,8 +250,8 @@ def open_loop(
     motion = -loop.force_per_current * current / (-plant.mass * omega**2 - plant.negative_stiffness)
     motion = motion * chain.get("sensor", 1.0)
     if rate is None:
-        law = np.asarray(np.sum(list(controller_terms(loop, omega).values()), axis=0))
-        return OpenLoop(loop.sensor, law.astype(np.complex128), motion, current)
+        law: ComplexArray = np.sum(list(controller_terms(loop, omega).values()), axis=0)
+        return OpenLoop(loop.sensor, law, motion, current)
     law_at = law_response(_own_law(loop, rate), omega, rate)
     sampled_motion, sampled_current = _sampled_motion(plant, omega, rate)
     if not filtered:
@@ -283,9 +267,7 @@ def _own_law(loop: ControlLoop, rate: float) -> SampledLaw:
 
 
 def law_response(law: SampledLaw, omega: FloatArray, rate: float) -> ComplexArray:
-    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]. Infinite at a pole, as of an
-    integrator at rest.
-    """
+    """C(z) (n_line,) [1] of a sampled controller at omega (n_line,) [rad/s]; infinite at a pole."""
     if not len(law.a):
         return np.full(np.shape(omega), law.d, np.complex128)
     law_bytes = (law.a.tobytes(), law.b.tobytes(), law.c.tobytes())
@@ -312,4 +294,4 @@ def _sampled_motion(plant: Suspended, omega: FloatArray, rate: float) -> tuple[C
     n, z = motion.step.shape[0], np.exp(1j * np.asarray(omega) / rate)
     late = (motion.hold[:, 0] / z[:, None] + motion.hold[:, 1]) * z[:, None] ** -float(whole)
     states = np.linalg.solve(z[:, None, None] * np.eye(n) - motion.step, late[..., None])[..., 0]
-    return states[:, 3 if n == 4 else 0], states[:, 2]
+    return states[:, motion.probe], states[:, 2]

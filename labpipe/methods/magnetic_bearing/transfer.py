@@ -18,16 +18,13 @@ from labpipe.records.settings import Settings, quantity, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
-# Markov parameter over the largest one, in units of the poles, below which it is rounding; accuracy of a
-# converted state space.
+# Markov parameter over the largest, in units of the poles, that is rounding; accuracy of a conversion.
 VANISHED, SAME = 1e-10, 1e-6
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """G = gain * prod(v - zeros) / prod(v - poles), v = s [rad/s], or with a sampling *rate* [Hz] v = z =
-    e^{s / rate} [1].
-    """
+    """G = gain prod(v - zeros) / prod(v - poles), v = s [rad/s], or with *rate* [Hz] z = e^{s / rate} [1]."""
 
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
@@ -95,9 +92,7 @@ def low_pass(frequency: float, order: int, damping: float) -> Transfer:
 
 
 def notch(frequency: float, depth: float, width: float) -> Transfer:
-    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D: |G| = *depth* at *frequency* [Hz], *width*
-    2 D of it at -3 dB.
-    """
+    """(s^2 + 2 d w s + w^2) / (s^2 + 2 D w s + w^2), d = depth D; *frequency* [Hz], *width* 2 D at -3 dB."""
     omega = 2 * np.pi * frequency
     return Transfer(_pair(omega, depth * width / 2), _pair(omega, width / 2), 1.0)
 
@@ -131,9 +126,7 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
     if all(hasattr(system, name) for name in "ABCD"):
         a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), float)) for name in "ABCD")
         rows, columns = (range(n) for n in d.shape)
-        return [
-            [_element(a, b[:, [j]], c[[i]], d[i : i + 1, j : j + 1], rate) for j in columns] for i in rows
-        ]
+        return [[_element(a, b[:, [j]], c[[i]], d[[i]][:, [j]], rate) for j in columns] for i in rows]
     if all(hasattr(system, name) for name in ("zeros", "poles", "gain")) and not callable(system.zeros):
         zeros, poles = (
             tuple(map(complex, np.atleast_1d(getattr(system, name)))) for name in ("zeros", "poles")
@@ -171,14 +164,11 @@ def _element(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray, rate: f
         # The states that the input moves are none that the output sees.
         return alone
     first = next(k for k, value in enumerate(markov) if abs(value) > VANISHED * max(map(abs, markov)))
-    shift = np.zeros((n + 1, n + 1))
-    shift[:n, :n] = np.eye(n)
-    above, below = linalg.eigvals(
-        np.block([[scaled, inward], [outward, through]]), shift, homogeneous_eigvals=True
-    )
-    nearest = np.argsort(
-        -np.abs(below) / np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny)
-    )[: n - first]
+    shift = np.diag([*np.ones(n), 0.0])
+    pencil = np.block([[scaled, inward], [outward, through]])
+    above, below = linalg.eigvals(pencil, shift, homogeneous_eigvals=True)
+    length = np.maximum(np.hypot(np.abs(above), np.abs(below)), np.finfo(float).tiny)
+    nearest = np.argsort(-np.abs(below) / length)[: n - first]
     zeros = unit * above[nearest] / below[nearest]
     gain = markov[first] * size * unit ** (first - 1)
     for share in (0.01, 0.3, 3.0):
@@ -196,9 +186,7 @@ CONJUGATE = 1e-6
 
 @dataclass(frozen=True)
 class Form:
-    """Entries that a block of the form *needs* and those that it *takes* beside them, and its transfer
-    function.
-    """
+    """Entries that a block of the form *needs* and those it *takes* beside, and its transfer function."""
 
     needs: tuple[str, ...]
     takes: tuple[str, ...]
@@ -280,9 +268,8 @@ class ControllerBlock(Settings):
             hint = "two blocks for more"
             raise SettingError("order", f"order: a low-pass has order 1 or 2, not {self.order}", hint)
         if self.order == 1 and "damping" in self.written:
-            raise SettingError(
-                "damping", "damping: is for a low-pass of order 2", "order: 2, or leave it out"
-            )
+            what = "damping: is for a low-pass of order 2"
+            raise SettingError("damping", what, "order: 2, or leave it out")
         _ = self.transfer
 
     @property
@@ -293,9 +280,7 @@ class ControllerBlock(Settings):
 
     @classmethod
     def entries_from(cls, value: Any) -> Any:
-        """Blocks as they are, or from a system with one input and one output of python-control or
-        scipy.signal.
-        """
+        """Blocks as they are, or from a one-input one-output system of python-control or scipy.signal."""
         if isinstance(value, (str, Sequence)):
             return value
         try:
@@ -316,9 +301,7 @@ def block_of(transfer: Transfer) -> ControllerBlock:
 
 
 def blocks_of_matrix(system: Any) -> dict[str, tuple[ControllerBlock, ...]]:
-    """Elements xx, xy, yx and yy of a system of python-control or scipy.signal with two inputs and two
-    outputs; ConfigError for others.
-    """
+    """Elements xx, xy, yx and yy of a two-input two-output system; ConfigError for others."""
     elements = matrix_of(system)
     if len(elements) != 2 or any(len(row) != 2 for row in elements):
         raise ConfigError("a controller of two directions has two inputs and two outputs")

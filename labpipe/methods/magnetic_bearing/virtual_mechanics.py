@@ -107,9 +107,7 @@ class Timing:
 
 
 def relaxation(levitation: Levitation, omega: FloatArray) -> ComplexArray:
-    """k(w) + j w c(w) = k_0 + k_1 j w tau / (1 + j w tau) of one bearing at *omega* [rad/s], (n_line,) [N/m].
-    Equation (sim-relaxation).
-    """
+    """k_0 + k_1 j w tau / (1 + j w tau) at *omega* [rad/s], (n_line,) [N/m]. Equation (sim-relaxation)."""
     relative: ComplexArray = 1j * omega / (2 * np.pi * levitation.corner)
     return levitation.static + levitation.dynamic * relative / (1 + relative)
 
@@ -130,9 +128,7 @@ def levitation_stiffness(levitation: Levitation, omega: FloatArray) -> ComplexAr
 
 
 def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness of pedestal and levitated rotor in one direction at *omega* [rad/s], (n_line,) [N/m].
-    Equation (sim-levitated).
-    """
+    """Pedestal and levitated rotor in one direction at *omega*, (n_line,) [N/m]. Equation (sim-levitated)."""
     pedestal = linear.dynamic_stiffness(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
 

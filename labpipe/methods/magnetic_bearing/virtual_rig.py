@@ -12,7 +12,7 @@ import scipy
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
-from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
+from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.sampled_loop import (
     CONTROL_RATE,
     OUTPUTS,
@@ -42,21 +42,10 @@ MARGIN = 0.05
 SETTLING = 3.0
 GAINS = {"gain-1.0": 1.0, "gain-1.1": 1.1, "gain-1.2": 1.2}
 INJECTION = 0.05  # rms [V]
-# Run-up: speeds [Hz], time [s]; mass eccentricity [m] and its angle [rad] at both ends; axial force per
-# radial one.
+# Run-up: speeds [Hz], time [s]; eccentricity [m] and angle [rad] at both ends; axial force per radial one.
 RUN_UP = (20.0, 8000 / 60, 10.0)
 UNBALANCE = {"front": (15e-6, 0.0), "rear": (9e-6, 1.2)}
 AXIAL_SHARE = 0.15
-
-
-def suspension(rig: VirtualMagneticRig, loop: ControlLoop | None = None) -> Suspended:
-    """Pedestal and rotor on all bearings in one direction. The bias field is that of the rig's own loop,
-    whatever gains *loop* has.
-    """
-    levitation = rig.levitation
-    pedestal = rig.pedestal_stiffness, rig.pedestal_damping
-    pull, own = negative_stiffness(levitation), loop or levitation.loop
-    return Suspended(own, pull, rig.rotor_mass, levitation.bearings, *pedestal)
 
 
 def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
@@ -68,8 +57,11 @@ def rotor_alone(rig: VirtualMagneticRig) -> Suspended:
 
 def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
     """The levitated rotor under one force at 45 deg, 1-250 Hz every 1 Hz, 1 + 5 periods."""
-    loop = replace(rig.levitation.loop, proportional=GAINS.get(name, rig.levitation.loop.proportional))
-    plant = suspension(rig, loop)
+    levitation, pedestal = rig.levitation, (rig.pedestal_stiffness, rig.pedestal_damping)
+    loop = replace(levitation.loop, proportional=GAINS.get(name, levitation.loop.proportional))
+    # The bias field is that of the rig's own loop, whatever the gain.
+    pull = negative_stiffness(levitation)
+    plant = Suspended(loop, pull, rig.rotor_mass, levitation.bearings, *pedestal)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     periods, rate = 1 + PERIODS, 2000.0
     closed = sampled_loop(plant)
@@ -81,7 +73,7 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     noise = _probe_noise(rig, rate, (length, 2), rng)
     loop_force = force_samples[:, None] + _hover_force(rig, plant, (length + 1, 2), rng)
     signals = _log(closed.run(_inputs(loop_force, noise)), rate, round(periods * rate))
-    shaker = force.samples(rate, periods) + rng.normal(0.0, rig.noise.force, round(periods * rate))
+    shaker = _noisy(force.samples(rate, periods), rig.noise.force, rng)
     channels = _channels(DIAGONAL, "xy")
     columns: list[FloatArray] = [shaker, *signals[:, :2, READING].T]
     # The gain study needs force and motion only.
@@ -111,21 +103,18 @@ def _per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[flo
 
 
 def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """The rotor alone. A multisine, 4-1000 Hz every 2 Hz, is added between probe and controller, both sides
-    recorded.
-    """
+    """The rotor alone; a multisine, 4-1000 Hz every 2 Hz, between probe and controller, both recorded."""
     plant = rotor_alone(rig)
     added = design_multisine((4.0, 1000.0), 2.0, INJECTION)
     periods, rate = 1 + PERIODS, 5000.0
     n_sample = round(periods / added.spacing * rate)
     settling = round(SETTLING * added.spacing) / added.spacing
     length = _length(settling + periods / added.spacing)
-    inputs = _inputs(
-        _hover_force(rig, plant, (length + 1, 1), rng), _probe_noise(rig, rate, (length, 1), rng)
-    )
+    hover = _hover_force(rig, plant, (length + 1, 1), rng)
+    inputs = _inputs(hover, _probe_noise(rig, rate, (length, 1), rng))
     inputs[:, 0, 3] = np.resize(added.samples(CONTROL_RATE, 1), length)
     signals = _log(sampled_loop(plant).run(inputs)[round(settling * CONTROL_RATE) :], rate, n_sample)[:, 0]
-    reference = added.samples(rate, periods) + rng.normal(0.0, 1e-4, n_sample)
+    reference = _noisy(added.samples(rate, periods), 1e-4, rng)
     channels = [Channel("e", "voltage", "input", "e")]
     channels += [Channel(label, "voltage", "output", label) for label in ("before", "after")]
     samples = [reference, signals[:, BEFORE], signals[:, AFTER]]
@@ -133,9 +122,7 @@ def injection(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> v
 
 
 def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """The rotor alone from 1200 to 8000 rpm on both bearings and the passive axial one: x, y at both ends, z,
-    tacho.
-    """
+    """The rotor alone from 1200 to 8000 rpm, passive in the axial direction: x, y at both ends, z, tacho."""
     low, high, duration = RUN_UP
     rate, length = 2000.0, _length(duration)
     t = np.arange(length + 1) / CONTROL_RATE
@@ -151,15 +138,13 @@ def run_up(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     radial_motion = sampled_loop(plant).run(_inputs(force, _probe_noise(rig, rate, (length, 4), rng)))
     axial = Suspended(plant.loop, 0.0, rig.axial_mass, 0, rig.axial_stiffness, rig.axial_damping)
     axial_force = AXIAL_SHARE * _unbalance_force(rig.axial_mass, speed, angle, *UNBALANCE["front"], 0.0)
-    axial_motion = sampled_loop(axial).run(
-        _inputs(axial_force[:, None], _probe_noise(rig, rate, (length, 1), rng))
-    )
+    noise = _probe_noise(rig, rate, (length, 1), rng)
+    axial_motion = sampled_loop(axial).run(_inputs(axial_force[:, None], noise))
     n_sample = round(duration * rate)
     displacements = _log(np.concatenate([radial_motion, axial_motion], axis=1), rate, n_sample)[:, :, READING]
     tacho = pulses(angle[: length : round(CONTROL_RATE / rate)][:n_sample])
     labels = [*(f"{end}.{dof}" for end in UNBALANCE for dof in "xy"), "z"]
-    channels = [Channel(label, "displacement", "output", label) for label in labels]
-    channels.append(TACHO)
+    channels = [*(Channel(label, "displacement", "output", label) for label in labels), TACHO]
     truth = {
         "mass": plant.mass,
         "unbalance": {end: {"eccentricity": e, "angle": a} for end, (e, a) in UNBALANCE.items()},
@@ -194,17 +179,13 @@ def _hover_force(
 ) -> FloatArray:
     """A slow force that makes the rotor wander by the stated rms."""
     wander = slow_noise(shape, CONTROL_RATE, rng)
-    static = (
-        plant.stiffness
-        + plant.bearings * dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
-    )
+    bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real
+    static = plant.stiffness + plant.bearings * bearing
     return static * rig.noise.hover * wander / np.sqrt(np.mean(wander**2))
 
 
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
-    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how a levitated rotor
-    wanders.
-    """
+    """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how the rotor wanders."""
     b, a = scipy.signal.butter(1, HOVER_CORNER, fs=rate)
     return np.asarray(scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
 
@@ -285,8 +266,7 @@ def expected_std_error(rig: VirtualMagneticRig, name: str, band: tuple[float, fl
     return {"k": float(std_error[0]), "c": float(std_error[1])}
 
 
-# What the virtual logger writes for a channel: (recorded unit, recorded value per SI value). y comes as the
-# probe's voltage.
+# What the logger writes of a channel: (unit, recorded value per SI value). y is the probe's voltage.
 RECORDED = {"f": ("N", 1.0), "x": ("um", 1e6), "y": ("V", 8e3), "z": ("um", 1e6)}
 TEXT_RUNS = ("pedestal", "axial")
 ECCENTRICITIES = (0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
@@ -297,17 +277,13 @@ STATIC_BEND = 300e-6
 def simulate(
     rig: VirtualMagneticRig, seed: int, runs: Sequence[str] | None = None
 ) -> tuple[virtual_rigs.SimulatedRun, ...]:
-    """The named runs, all of `run_names` unless named. The same rig and seed give the same samples, whatever
-    other runs are made.
-    """
+    """The named runs, by default all; the same rig and seed give the same samples of each."""
     by_name, names = {**RUNS, **_loop_runs(rig)}, virtual_rigs.chosen_runs(rig, runs)
     return tuple(by_name[name](rig, name, virtual_rigs.generator(seed, name)) for name in names)
 
 
 def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
-    """All of RUNS. Of a rig under its control loop also those that close the loop in the time domain,
-    LOOP_RUNS.
-    """
+    """All of RUNS, and of a rig under its control loop LOOP_RUNS, which close it in the time domain."""
     return tuple({**RUNS, **_loop_runs(rig)})
 
 
@@ -330,9 +306,8 @@ def _noisy(clean: FloatArray, std: float, rng: np.random.Generator) -> FloatArra
 def _run(
     name: str, truth: dict[str, Any], channels: Sequence[Channel], samples: Sequence[FloatArray], rate: float
 ) -> virtual_rigs.SimulatedRun:
-    return virtual_rigs.SimulatedRun(
-        name, truth, Recording(tuple(channels), np.column_stack(samples), rate, name)
-    )
+    recording = Recording(tuple(channels), np.column_stack(samples), rate, name)
+    return virtual_rigs.SimulatedRun(name, truth, recording)
 
 
 def _channels(force: str, moved: str) -> list[Channel]:
@@ -346,9 +321,8 @@ def single(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     """One force and one displacement that starts at rest: the runs of ONE_DOF."""
     run = ONE_DOF[name](rig)
     timing = run.timing
-    receptance = 1 / linear.dynamic_stiffness(
-        run.mass, run.stiffness, run.damping, linear.line_frequencies(run.force)
-    )
+    omega = line_frequencies(run.force)
+    receptance = 1 / linear.dynamic_stiffness(run.mass, run.stiffness, run.damping, omega)
     steady = linear.steady_state(run.force, receptance, timing.n_sample, timing.periods)
     clean = steady + linear.free_decay(steady, timing.sample_rate, run.truth["f_n"], run.truth["zeta"])
     samples = [
@@ -362,7 +336,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
     """The levitated rotor under one force at 45 deg: x and y move alike, since the rig is symmetric."""
     rotating = name.endswith("rpm") and not name.endswith("-0rpm")
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
-    omega = linear.line_frequencies(force)
+    omega = line_frequencies(force)
     receptance = np.cos(np.pi / 4) / mechanics.levitated_stiffness(rig, omega)
     timing = Timing(2000.0, 1.0, 1)
     clean = linear.steady_state(force, receptance, timing.n_sample, timing.periods)
@@ -392,30 +366,25 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
 
 
 def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """A cross-coupled support under a force along x (or y): all eight coefficients show in the two runs
-    together.
-    """
+    """A cross-coupled support under a force along x (or y): both runs show all eight coefficients."""
     dof = name[-1]
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
-    omega = linear.line_frequencies(force)
+    omega = line_frequencies(force)
     receptance = np.linalg.inv(mechanics.coupled_stiffness(rig, omega))[:, :, column]
     timing = Timing(2000.0, 1.0, 1)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for row in range(2):
         clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
         samples.append(_noisy(clean, rig.noise.displacement, rng))
-    support = virtual_rigs.coefficients_by_name(
-        "xy", k=mechanics.COUPLED_STIFFNESS, c=mechanics.COUPLED_DAMPING
-    )
+    stiffness, damping = mechanics.COUPLED_STIFFNESS, mechanics.COUPLED_DAMPING
+    support = virtual_rigs.coefficients_by_name("xy", k=stiffness, c=damping)
     truth = {"mass": rig.rotor_mass, **support}
     return _run(name, truth, _channels(dof, "xy"), samples, timing.sample_rate)
 
 
 def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """Force over control voltage at seven levels and seven eccentricities. The gain falls as 1 / (1 + (e /
-    0.4)^4).
-    """
+    """Force over voltage at seven levels and eccentricities. The gain falls as 1 / (1 + (e / 0.4)^4)."""
     levels = np.linspace(0.08, 0.56, 7)
     gains = [rig.actuator_gain / (1 + (e / GAIN_CORNER) ** 4) for e in ECCENTRICITIES]
     eccentricity = np.repeat(ECCENTRICITIES, levels.size)
@@ -428,15 +397,12 @@ def actuator_gain(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) 
 
 
 def static(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virtual_rigs.SimulatedRun:
-    """Static magnet force over displacement: F = k_0 x (1 - (x / 300 um)^2), straight within 2.3 % up to 45
-    um.
-    """
+    """Static magnet force over displacement, k_0 x (1 - (x / 300 um)^2): straight within 2.3 % to 45 um."""
     displacement = np.arange(0, 91, 3) * 1e-6
     k_0 = rig.levitation.static
     force = _noisy(k_0 * displacement * (1 - (displacement / STATIC_BEND) ** 2), 2e-4, rng)
-    return virtual_rigs.SimulatedRun(
-        name, {"k_0": k_0}, table={"displacement [um]": displacement * 1e6, "force [N]": force}
-    )
+    table = {"displacement [um]": displacement * 1e6, "force [N]": force}
+    return virtual_rigs.SimulatedRun(name, {"k_0": k_0}, table=table)
 
 
 RUNS: dict[str, MakeRun] = {

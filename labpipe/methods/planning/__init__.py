@@ -1,3 +1,1 @@
-"""Tests planned before they are made: signals, operating conditions and runs that determine the wanted
-coefficients best.
-"""
+"""Tests planned before they are made: signals, conditions and runs that determine what is wanted best."""

@@ -63,7 +63,6 @@ Scheme = Callable[[IntArray, FloatArray, tuple[str, ...]], tuple[Multisines, ...
 
 def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """A test for every shaker: mean squares *power* (n_line, n_shaker) [N^2] at lines (n_line,) [multiples].
-
     *names* of the shakers.
     """
     tests = []
@@ -78,9 +77,7 @@ def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tu
 
 def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one,
-    power (n_line, 2) [N^2].
-
-    Equation (plan-together).
+    power (n_line, 2) [N^2]. Equation (plan-together).
     """
     paired, used = _pairs(lines, power)
     forces = np.repeat(np.sqrt(paired), 2, axis=0).astype(complex)
@@ -89,10 +86,7 @@ def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tupl
 
 
 def interleave(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
-    """One test of two shakers at once, each on every other line.
-
-    Arguments as of one_by_one, power (n_line, 2) [N^2].
-    """
+    """One test of two shakers, each on every other line; power (n_line, 2) [N^2], as of one_by_one."""
     paired, used = _pairs(lines, power)
     forces = np.zeros((used.size, 2), complex)
     forces[::2, 0], forces[1::2, 1] = np.sqrt(2 * paired).T
@@ -126,9 +120,7 @@ SETTLED = 1e-6
 
 def schroeder_phases_of(power: FloatArray) -> FloatArray:
     """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l)
-    p_l, p summing to 1.
-
-    Equation (spec-schroeder-power).
+    p_l, p summing to 1. Equation (spec-schroeder-power).
     """
     return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])))
 
@@ -155,7 +147,7 @@ def least_peak_phases(
     rng = np.random.default_rng(0)
     n_difference = (n_source - 1) * (int(group.max()) + 1)
     begins = [np.concatenate([schroeder, np.zeros(n_difference)])]
-    begins.extend(rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts))
+    begins += [rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts)]
     if random_starts and n_difference:
         begins.append(np.concatenate([schroeder, rng.uniform(0, 2 * np.pi, n_difference)]))
     problem = _Problem(lines, gains, group)
@@ -171,9 +163,7 @@ def least_peak_phases(
 
 
 class _Problem:
-    """The peak as a function of the unknowns: phases of the first source (n_line,), then differences of the
-    others by group.
-    """
+    """The peak by phases of the first source (n_line,), then differences of the others by group."""
 
     def __init__(self, lines: IntArray, gains: ComplexArray, group: IntArray) -> None:
         self.lines, self.gains, self.group = lines, gains, group
@@ -197,8 +187,7 @@ class _Problem:
         signals = _signals(self.lines, amplitudes.sum(axis=1), self.n_sample)
         largest = np.abs(signals).max()
         scaled = signals / largest
-        # scaled^(2 p - 1) = scaled scaled^2 scaled^4 ... scaled^p: p is a power of two, and a general power
-        # takes three times as long.
+        # scaled^(2 p - 1) = scaled scaled^2 ... scaled^p, p a power of two: a third of a general one's time.
         powers, square = scaled.copy(), scaled * scaled
         for _ in range(p.bit_length() - 1):
             powers *= square
@@ -212,15 +201,11 @@ class _Problem:
         return float(np.log(largest) + np.log(total) / (2 * p)), slopes
 
     def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
-        options = {"maxiter": steps, "ftol": SETTLED}
-        solved = scipy.optimize.minimize(
-            self.norm, unknowns, args=(p,), jac=True, method="L-BFGS-B", options=options
-        )
-        return np.asarray(solved.x)
+        how = {"jac": True, "method": "L-BFGS-B", "options": {"maxiter": steps, "ftol": SETTLED}}
+        return np.asarray(scipy.optimize.minimize(self.norm, unknowns, args=(p,), **how).x)
 
 
-# Motion that starts from rest: samples per period of the highest frequency, and the exponent by which the
-# slowest motion has died away.
+# Motion from rest: samples per period of the highest frequency, exponent by which the slowest has died.
 SAMPLES, DIED = 64, 9.0
 # Starts within a period that are looked at closely.
 STARTS = 16
@@ -249,9 +234,7 @@ class Limits(Settings):
 
 @dataclass(frozen=True)
 class EarlierInformation:
-    """What an earlier test counts for: *information* (n_coefficient, n_coefficient) [1] of relative
-    coefficients, beside *duration* [s].
-    """
+    """An earlier test's *information* (n_coefficient, n_coefficient) [1], relative, beside *duration* [s]."""
 
     information: FloatArray
     duration: float
@@ -265,9 +248,7 @@ class EarlierInformation:
 @dataclass(frozen=True)
 class Rig:
     """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing*
-    of the lines [Hz].
-
-    earlier: what an earlier test tells, where it is combined with the planned one.
+    of the lines [Hz]. earlier: what an earlier test tells, where it is combined with the planned one.
     """
 
     model: PlannedModel
@@ -280,10 +261,7 @@ class Rig:
 
     @property
     def known_rate(self) -> FloatArray:
-        """Information (n_coefficient, n_coefficient) [1/s] of an earlier test over the planned duration.
-
-        Zero without one.
-        """
+        """That of an earlier test over the planned duration (n_coefficient, n_coefficient) [1/s], or zero."""
         return np.zeros((len(self.model.names),) * 2) if self.earlier is None else self.earlier.rate
 
     def omega(self, test: Multisines) -> FloatArray:
@@ -295,9 +273,7 @@ class Rig:
         return np.einsum("lij,lj->li", self.model.receptance(self.omega(test)), test.forces @ self.directions)
 
     def over_limits(self, test: Multisines) -> ComplexArray:
-        """Amplitudes of all limited signals over their limits, by shaker, (n_line, n_shaker, n_signal) [1]:
-        forces, then probes.
-        """
+        """Amplitudes of forces, then probes over their limits, (n_line, n_shaker, n_signal) [1]."""
         running = running_shakers(test)
         unit = np.eye(len(self.shakers))[:, running] / self.limits.force
         parts = [test.forces[:, :, None] * unit]
@@ -322,13 +298,10 @@ def as_large_as_allowed(
     rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True
 ) -> Multisines:
     """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as
-    the limits allow.
-
-    Without *random_starts* the phases are a first look.
+    the limits allow. Without *random_starts* the phases are a first look.
     """
     running = running_shakers(test)
-    # The shakers have limits of their own: those that a design pushes less are not to be the reason for
-    # larger phases.
+    # Each shaker has its own limit: those that a design pushes less are not to worsen the phases.
     rms = np.where(running, np.sqrt(np.sum(np.abs(test.forces) ** 2, axis=0)), 1.0)
     test = test.scaled(np.where(running, rig.limits.force / rms, 0.0))
     if optimised:
@@ -338,16 +311,13 @@ def as_large_as_allowed(
             test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts
         )
         test = test.turned(phases)
-    largest = np.where(running, peaks(test.lines, test.forces), 1.0)
-    test = test.scaled(rig.limits.force / largest)
+    test = test.scaled(rig.limits.force / np.where(running, peaks(test.lines, test.forces), 1.0))
     return test.scaled(OBEYED / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
 
 
 def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
     """The test with its period begun where little motion starts and stops, and smaller forces where *seconds*
-    [s] from rest still need it.
-
-    Equation (plan-from-rest).
+    [s] from rest still need it. Equation (plan-from-rest).
     """
     limit = rig.limits.displacement
     if limit is None or rig.model.free_motion is None:
@@ -366,9 +336,7 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
 
 def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
     """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves
-    on when it stops.
-
-    The steady motion alone where what starts does not die away.
+    on when it stops. The steady motion alone where what starts does not die away.
     """
     motion = rig.motion(test)
     largest, free = peaks(test.lines, motion), rig.model.free_motion
@@ -448,9 +416,7 @@ def crest_factors(test: Multisines) -> FloatArray:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Tests with their shares of the time (n_test,) [1], and what they tell per second: *rate* (n, n) [1/s],
-    relative; *earlier*: besides.
-    """
+    """Tests, *shares* (n_test,) [1] of the time, relative *rate* (n, n) [1/s]; *earlier*: told besides."""
 
     tests: tuple[Multisines, ...]
     shares: FloatArray
@@ -459,16 +425,12 @@ class Campaign:
 
     @property
     def information(self) -> FloatArray:
-        """Information per second (n, n) [1/s], what an earlier test tells spread over the planned
-        duration.
-        """
+        """Information per second (n, n) [1/s], an earlier test's spread over the planned duration."""
         return self.rate if self.earlier is None else self.rate + self.earlier.rate
 
     def errors(self, duration: float) -> FloatArray:
         """Relative standard errors (n_coefficient,) [1] of *duration* [s] of data and what is known before,
-        the noise being known.
-
-        Equation (plan-earlier).
+        the noise being known. Equation (plan-earlier).
         """
         before = 0.0 if self.earlier is None else self.earlier.information
         return relative_errors(self.rate * duration + before)
@@ -487,9 +449,9 @@ def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
 
 def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: FloatArray) -> Campaign:
     """The tests with the best division of the time among them; goals (n_coefficient,) [1]: as in `score`."""
-    rates = np.stack([rig.rate(test) for test in tests])
-    if len(rates) == 1:
+    if len(tests) == 1:
         return equal_times(rig, tests)
+    rates = np.stack([rig.rate(test) for test in tests])
     wanted = np.isfinite(goals)
     weight = 1 / np.where(wanted, goals, 1.0)
     relative = (rates + rig.known_rate) / np.outer(weight, weight)

@@ -10,7 +10,6 @@ I^-1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +20,7 @@ from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 
 D, A, MINIMAX = "D", "A", "minimax"
-CRITERIA = (MINIMAX, "A", "D")
+CRITERIA = (MINIMAX, A, D)
 # Variances within this of the largest one count as largest.
 ACTIVE = 2e-3
 
@@ -43,9 +42,7 @@ class Certificate:
 
 def variances(information: FloatArray, wanted: FloatArray | None = None) -> FloatArray:
     """r I^-1 r^T of combinations *wanted* (n_wanted, n_coefficient) [1], (n_wanted,) [1]; of all coefficients
-    unless given.
-
-    Equation (plan-variances).
+    unless given. Equation (plan-variances).
     """
     inverse = np.linalg.inv(information)
     return np.asarray(np.diagonal(inverse) if wanted is None else _along(inverse, wanted))
@@ -57,9 +54,7 @@ def _along(inverse: FloatArray, wanted: FloatArray) -> FloatArray:
 
 def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray) -> FloatArray:
     """W = I^-1 R^T diag(q) R I^-1 (n, n) [1] of the *inverse* I^-1 (n, n) [1], q (n_wanted,) [1] and
-    combinations R (n_wanted, n) [1].
-
-    Equation (plan-gradient).
+    combinations R (n_wanted, n) [1]. Equation (plan-gradient).
     """
     rows = wanted @ inverse
     return np.asarray(rows.T @ (multipliers[:, None] * rows))
@@ -75,25 +70,21 @@ def certificate(
     coefficients. Efficiencies are of variances, of D of det(I)^(1/n). Equation (plan-certificate).
     """
     inverse = np.linalg.inv(design)
-    if criterion == D:
-        scores = _scores(inverse, information)
-        greatest = float(scores.max())
-        return Certificate(D, len(design) / greatest, inverse, greatest, int(scores.argmax()))
-    v = variances(design, wanted)
-    q = np.ones(v.size) if criterion == A else _multipliers(inverse, information, wanted)
-    weights = weights_of(inverse, q, wanted)
+    v = _along(inverse, wanted)
+    q = _multipliers(inverse, information, wanted) if criterion == MINIMAX else np.ones(v.size)
+    weights = inverse if criterion == D else weights_of(inverse, q, wanted)
     scores = _scores(weights, information)
-    greatest = float(scores.max())
-    total = float(q @ v)
-    bound = total**2 / greatest if criterion == A else total**2 / (greatest * float(q.sum()))
-    value = total if criterion == A else float(v.max())
-    return Certificate(criterion, bound / value, weights, greatest, int(scores.argmax()))
+    greatest, total = float(scores.max()), float(q @ v)
+    efficiency = {
+        D: len(design) / greatest,
+        A: total**2 / greatest / total,
+        MINIMAX: total**2 / (greatest * float(q.sum())) / float(v.max()),
+    }
+    return Certificate(criterion, efficiency[criterion], weights, greatest, int(scores.argmax()))
 
 
 def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArray) -> FloatArray:
-    """q >= 0 of the largest variances with sum q v = 1 that makes max d least: the linear programme of the
-    tightest bound.
-    """
+    """q >= 0 of the largest variances, sum q v = 1, of least max d: the linear programme of the bound."""
     v = _along(inverse, wanted)
     active = np.flatnonzero(v >= (1 - ACTIVE) * v.max())
     rows = wanted[active] @ inverse
@@ -239,20 +230,15 @@ def _least_largest(
         gains = np.einsum("ij,ajk,ik->ia", rows, information, rows)
         return np.asarray(-gains / np.einsum("wi,wi->w", rows, wanted)[:, None])
 
-    unit = np.append(np.zeros(begin.size), 1.0)
-    level = float(logarithms(np.append(begin, 0.0)).max())
+    unit, begun = np.append(np.zeros(begin.size), 1.0), np.append(begin, 0.0)
+    level = float(logarithms(begun).max())
     below = {
         "type": "ineq",
         "fun": lambda unknowns: unknowns[-1] + level - logarithms(unknowns),
         "jac": lambda unknowns: np.hstack([-slopes(unknowns), np.ones((len(wanted), 1))]),
     }
-    sums: dict[str, str | Callable[[FloatArray], object]] = {
-        "type": "eq",
-        "fun": lambda unknowns: unknowns[:-1].sum() - 1,
-        "jac": lambda _unknowns: 1 - unit,
-    }
+    sums: Any = {"type": "eq", "fun": lambda unknowns: unknowns[:-1].sum() - 1, "jac": lambda _: 1 - unit}
     bounds = [(0, 1)] * begin.size + [(None, None)]
-    begun = np.append(begin, 0.0)
     solved = scipy.optimize.minimize(
         lambda unknowns: (unknowns[-1], unit), begun, bounds=bounds, constraints=[below, sums], **_BY_SQP
     )

@@ -1,6 +1,4 @@
-"""plan of an excitation: settings -> signals of the shakers, plan.json, a report, and the rig and pipeline
-that evaluate it.
-"""
+"""plan of an excitation: signals of the shakers, plan.json, a report, the rig and pipeline to evaluate it."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Settings of the plan, its title and tests, whether masses are among the coefficients, and the rig file
-    that it names, if any.
-    """
+    """The plan's settings, title, tests and rig file, and whether masses are among the coefficients."""
 
     settings: PlanSettings
     title: str
@@ -68,21 +64,13 @@ class Evaluation:
         return list(dict.fromkeys(shaker for test in self.tests for shaker in test.shakers))
 
     @property
-    def at_once(self) -> bool:
-        return any(len(test.shakers) > 1 for test in self.tests)
-
-    @property
     def side_by_side(self) -> bool:
-        """Whether the test is evaluated from spectra of all channels: a stator, or shakers that run at
-        once.
-        """
-        return self.settings.kind.floating or self.at_once
+        """Whether spectra of all channels evaluate the test: a stator, or shakers that run at once."""
+        return self.settings.kind.floating or any(len(test.shakers) > 1 for test in self.tests)
 
 
 def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
-    """ConfigError unless the rig has what the model needs: a force for every shaker, or one that is moved,
-    and every response once.
-    """
+    """ConfigError unless the rig has a force for every shaker, or one that is moved, and every response."""
     if rig.derived:
         raise SettingError("rig", "sums of channels are not planned with", "a rig file with what is recorded")
     axes = settings.kind.axes
@@ -110,9 +98,7 @@ def forces_of(rig: Rig) -> list[Channel]:
 
 
 def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
-    """The rig file where the plan names none: a channel for every signal, its column of the same name with
-    its unit.
-    """
+    """The rig file where the plan names none: a channel for every signal, in a column of its name."""
     shakers, settings = evaluation.shakers, evaluation.settings
     forces = [("f", "force", shakers[0])]
     if evaluation.side_by_side:
@@ -213,16 +199,12 @@ def rig_path(file: PlanFile) -> Path | None:
 
 
 def rehearsal(file: PlanFile) -> Rehearse | None:
-    """What gives the budget of tests; None where nothing but noise is uncertain.
-
-    ConfigError for a rig without the channels.
-    """
+    """What gives the budget of tests; None where only noise is uncertain. ConfigError without channels."""
     settings: PlanSettings = file.settings
-    if settings.sensors is not None:
-        check_rig(settings.sensors, settings, settings.shakers or settings.kind.axes)
-    of_sensors = settings.sensors is not None and any(
-        channel.channel.uncertainties for channel in settings.sensors.channels
-    )
+    sensors = settings.sensors
+    if sensors is not None:
+        check_rig(sensors, settings, settings.shakers or settings.kind.axes)
+    of_sensors = sensors is not None and any(entry.channel.uncertainties for entry in sensors.channels)
     if not of_sensors and not settings.uncertainties:
         return None
 
@@ -265,9 +247,9 @@ def _rehearsed_fit(
 
 
 def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
-    if fit.budget is None:
-        return None
     whole = fit.budget
+    if whole is None:
+        return None
     columns = [whole.names.index(name) for name in names]
     random, changes = whole.random[columns], whole.changes[:, columns]
     return Budget(tuple(names), random, whole.random_dof, whole.sources, changes)
@@ -278,7 +260,7 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
     settings: PlanSettings = file.settings
     planned = make_plan(settings, _expected(file), file.title, rehearsal(file))
     plan = planned.plan
-    names = list(_write_signals(planned, output))
+    names = _write_signals(planned, output)
     write_plan(output.write_path(NAME), plan)
     content: bytes = DOCUMENTS.load("html")(plan_document(plan, __version__))
     output.write_path(REPORT).write_bytes(content)
@@ -315,10 +297,7 @@ def _is_coefficient(parameter: Parameter) -> bool:
 
 
 def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
-    """Covariance by noise and systematic changes of a fit's coefficients, without those that are *typed*.
-
-    NaN where it states no errors.
-    """
+    """Covariance by noise, NaN without errors, and changes of a fit's coefficients but *typed* ones."""
     estimated = [p for p in fit.parameters if not p.derived]
     kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]
     names = tuple(estimated[number].name for number in kept)
@@ -355,12 +334,10 @@ def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
     if not np.any(coefficients.damping):
         hint = "a journal or a magnetic bearing has; or state all under `expected`"
         raise SettingError("theory", "this theory has no damping", hint)
-    matrices = {"k": coefficients.stiffness, "c": coefficients.damping}
     return {
-        f"{letter}_{AXES[i]}{AXES[j]}": float(matrix[i, j])
-        for letter, matrix in matrices.items()
-        for i in (0, 1)
-        for j in (0, 1)
+        f"{letter}_{AXES[i]}{AXES[j]}": float(value)
+        for letter, matrix in (("k", coefficients.stiffness), ("c", coefficients.damping))
+        for (i, j), value in np.ndenumerate(matrix)
     }
 
 

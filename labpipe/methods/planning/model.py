@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -60,9 +61,7 @@ class PlannedModel:
         return np.asarray(np.maximum(sizes, LEAST_SHARE * np.where(largest > 0, largest, 1.0)))
 
     def elements_at(self, omega: FloatArray) -> ComplexArray:
-        """E_i(jw) of every line, (n_line, n_coefficient, n_dof, n_dof) [N/m per unit of the coefficient], at
-        omega (n_line,) [rad/s].
-        """
+        """E_i(jw) (n_line, n_coefficient, n_dof, n_dof) [N/m per coefficient] at omega (n_line,) [rad/s]."""
         return np.einsum("lk,nkij->lnij", _powers(omega), self.elements)
 
     def stiffness(self, omega: FloatArray) -> ComplexArray:
@@ -71,19 +70,15 @@ class PlannedModel:
         return np.einsum("lk,kij->lij", _powers(omega), whole)
 
     def receptance(self, omega: FloatArray) -> ComplexArray:
-        """X = (D - w^2 M_s)^-1 F, (n_line, n_dof, n_dof) [m/N], at omega (n_line,) [rad/s].
-
-        The rotor of a floating rig held still.
+        """X = (D - w^2 M_s)^-1 F, (n_line, n_dof, n_dof) [m/N], at omega (n_line,) [rad/s]. The rotor of a
+        floating rig held still.
         """
         inertia = omega[:, None, None] ** 2 * self.stator_mass * np.eye(self.n_dof)
         return np.asarray(np.linalg.inv(self.stiffness(omega) - inertia))
 
     @property
     def free_motion(self) -> FloatArray | None:
-        """A of z' = A z, z = (X, X'), (2 n_dof, 2 n_dof) [1/s, 1/s^2], without force.
-
-        None where such a motion does not die away.
-        """
+        """A of z' = A z, z = (X, X'), (2 n_dof, 2 n_dof) [1/s, 1/s^2], free; None where it does not decay."""
         stiffness, damping, mass = self.given + np.einsum("n,nkij->kij", self.expected, self.elements)
         mass = mass + self.stator_mass * np.eye(self.n_dof)
         if np.any(np.linalg.eigvals(mass).real <= 0):
@@ -96,9 +91,8 @@ class PlannedModel:
         """The model with all masses given at their expected values."""
         kept = np.array([name[0] != "m" for name in self.names])
         fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
-        names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         parts = {"expected": self.expected[kept], "elements": self.elements[kept]}
-        return replace(self, names=names, given=self.given + fixed, **parts)
+        return replace(self, names=tuple(compress(self.names, kept)), given=self.given + fixed, **parts)
 
     def with_expected(self, values: FloatArray) -> PlannedModel:
         """The model with other expected values (n_coefficient,) [N/m, N.s/m, kg]."""
@@ -112,7 +106,6 @@ def _powers(omega: FloatArray) -> ComplexArray:
 
 def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
     """A pedestal, F = (k + jwc - w^2 m) X: k [N/m], c [N.s/m] and, unless *mass* [kg] is known, m [kg].
-
     ConfigError for other names.
     """
     wanted = ("k", "c") if mass is not None else ("k", "c", "m")
@@ -122,10 +115,7 @@ def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedMod
 
 
 def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
-    """A rotor in x and y with eight coefficients k_xx ... c_yy [N/m, N.s/m] and a known *mass* [kg].
-
-    ConfigError without it.
-    """
+    """A rotor in x and y, k_xx ... c_yy [N/m, N.s/m], and its *mass* [kg]; ConfigError without it."""
     if mass is None:
         what = "model rotor-2dof needs the mass of the rotor"
         raise SettingError("mass", what, "for example mass: 0.92 kg")
@@ -135,9 +125,7 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
     """A floating stator of *mass* M_s [kg], F - M_s A = (K + jwC - w^2 M) X: eight coefficients, or twelve
-    where masses are expected.
-
-    ConfigError without the stator's mass, or for unknown coefficients.
+    where masses are expected. ConfigError without the stator's mass, or for unknown coefficients.
     """
     if mass is None:
         what = "model dynamic-stiffness needs the mass of the stator"
@@ -148,9 +136,7 @@ def floating(expected: Mapping[str, float], mass: float | None = None) -> Planne
 
 @dataclass(frozen=True)
 class PlannedKind:
-    """model: from expected coefficients and the mass; axes: in which it moves; floating: against its shaft,
-    with accelerations.
-    """
+    """model: from expected coefficients and mass; floating: against its shaft, with accelerations."""
 
     model: Callable[[Mapping[str, float], float | None], PlannedModel]
     axes: tuple[str, ...] = AXES
@@ -204,10 +190,7 @@ class Noise:
 
     @classmethod
     def of_samples(cls, force: float, displacement: float, acceleration: float, sample_rate: float) -> Noise:
-        """From standard deviations per sample [N, m, m/s^2] at *sample_rate* [Hz]: S = s sqrt(2 / f_s).
-
-        Equation (plan-noise).
-        """
+        """From standard deviations per sample [N, m, m/s^2], S = s sqrt(2 / f_s). Equation (plan-noise)."""
         factor = float(np.sqrt(2 / sample_rate))
         return cls(force * factor, displacement * factor, acceleration * factor)
 
@@ -224,9 +207,7 @@ def sensitivities(model: PlannedModel, noise: Noise, omega: FloatArray) -> Compl
 
 
 def residual_whitener(model: PlannedModel, noise: Noise, omega: FloatArray) -> ComplexArray:
-    """L^-1 of the residual's noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega
-    (n_line,) [rad/s].
-    """
+    """L^-1 of the noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega [rad/s]."""
     stiffness = model.stiffness(omega)
     plain = noise.force**2 + (model.stator_mass * noise.acceleration) ** 2
     moved = noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(-1, -2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from math import ceil
 
 import numpy as np
@@ -81,9 +82,7 @@ class Planned:
     tests: tuple[campaigns.Multisines, ...]
 
     def signals(self, test: int) -> dict[str, FloatArray]:
-        """Force of every running shaker of a test, by file, (n_sample,) [N]: all its periods, transient ones
-        included.
-        """
+        """Force of every running shaker of a test, by file, (n_sample,) [N], transient periods included."""
         planned = self.plan.tests[test]
         period = period_signals(self.tests[test], self.plan.sample_rate, self.plan.period)
         whole = np.tile(period, (planned.periods + planned.skip, 1))
@@ -196,9 +195,9 @@ def _with_budget(
     needed = None
     if goals.any and not np.any(beyond):
         needed = _needed(question, timed, allowed / plan.factor, plan.duration)
-    never = tuple(name for name, is_beyond in zip(model.names, beyond, strict=True) if is_beyond)
-    notes = (*plan.notes, *lasting_notes(coefficients))
-    notes += tuple(calibration_notes(goals, budget, random, model.scales))
+    never = tuple(compress(model.names, beyond))
+    calibrate = calibration_notes(goals, budget, random, model.scales)
+    notes = (*plan.notes, *lasting_notes(coefficients), *calibrate)
     return replace(plan, coefficients=coefficients, needed=needed, unreachable=never, notes=notes)
 
 
@@ -257,17 +256,12 @@ def planned_lines(settings: PlanSettings) -> IntArray:
 
 
 def weighting_factor(periods: int, of_spectra: bool) -> float:
-    """Standard error over that with known noise, where *periods* periods tell it; *of_spectra*: in a fit of
-    all channels' spectra.
-    """
+    """Standard error over that with known noise, *periods* telling it; *of_spectra*: of all channels."""
     return float(np.interp(periods, list(OF_SPECTRA), list(OF_SPECTRA.values()))) if of_spectra else 1.0
 
 
 def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
-    """The rig of the settings: noise, limits and directions of the shakers.
-
-    ConfigError for shakers that the model does not have.
-    """
+    """The rig of the settings. ConfigError for shakers that the model does not have."""
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
         what = f"{len(names)} shakers for {model.n_dof} directions"
@@ -275,25 +269,20 @@ def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
     directions = np.array([_direction(name) for name in names]) if model.n_dof == 2 else np.ones((1, 1))
     if len(names) == 2 and abs(np.linalg.det(directions)) < 1e-3:
         raise SettingError("shakers", "both shakers push in one direction", "x and y")
-    density = settings.noise_density
-    if density is not None:
-        noise = Noise(density.force, density.displacement, density.acceleration)
-    else:
-        assert settings.noise is not None
-        sampled, rate = settings.noise, settings.sample_rate
-        noise = Noise.of_samples(sampled.force, sampled.displacement, sampled.acceleration, rate)
+    stated = settings.noise_density or settings.noise
+    assert stated is not None
+    sizes = stated.force, stated.displacement, stated.acceleration
+    noise = Noise(*sizes) if settings.noise_density else Noise.of_samples(*sizes, settings.sample_rate)
     limits = campaigns.Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return campaigns.Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 
 
 def _direction(name: str) -> tuple[float, float]:
-    angle = AXIS_ANGLES.get(name)
-    if angle is None:
-        try:
-            angle = parse_value(name, "rad")
-        except UnitError:
-            hint = "x, y, or an angle from x such as 45 deg"
-            raise SettingError("shakers", f"'{name}' is no direction", hint) from None
+    try:
+        angle = AXIS_ANGLES[name] if name in AXIS_ANGLES else parse_value(name, "rad")
+    except UnitError:
+        hint = "x, y, or an angle from x such as 45 deg"
+        raise SettingError("shakers", f"'{name}' is no direction", hint) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
@@ -319,14 +308,11 @@ def _periods(settings: PlanSettings, design: campaigns.Campaign) -> tuple[int, .
 def _skip(
     settings: PlanSettings, rig: campaigns.Rig, design: campaigns.Campaign, periods: tuple[int, ...]
 ) -> int:
-    """Transient periods of every test: those asked for, or as many as free motion needs to no longer count,
-    one at least.
-    """
+    """Transient periods of a test: as asked for, or until free motion no longer counts, one at least."""
     if settings.skip is not None:
         return settings.skip
-    motion = campaigns.settling(
-        rig, campaigns.with_shares(rig, design.tests, np.array(periods) / sum(periods)), periods
-    )
+    timed = campaigns.with_shares(rig, design.tests, np.array(periods) / sum(periods))
+    motion = campaigns.settling(rig, timed, periods)
     return 1 if motion is None else _settled_after(motion, design.errors(sum(periods) * settings.period))
 
 
@@ -414,9 +400,7 @@ def _coefficients(
 
 def time_needed(campaign: campaigns.Campaign, limits: FloatArray, duration: float) -> float:
     """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1],
-    of a *duration* [s] or not.
-
-    Infinite where more than LONGEST times the duration would be needed.
+    of a *duration* [s] or not. Infinite where more than LONGEST times the duration would be needed.
     """
     if campaign.earlier is None:
         return float(duration * np.max(campaign.errors(duration) / limits) ** 2)
@@ -428,7 +412,7 @@ def planned_test(rig: campaigns.Rig, test: campaigns.Multisines, periods: int, s
     """A test of *periods* periods, after *skip* that are dropped, as it is written down."""
     running = campaigns.running_shakers(test)
     forces = test.forces[:, running]
-    names = tuple(name for name, runs in zip(rig.shakers, running, strict=True) if runs)
+    names = tuple(compress(rig.shakers, running))
     stem = "-".join(name.replace(" ", "") for name in names)
     ends = [f"-{name.replace(' ', '')}" for name in names] if len(names) > 1 else [""]
     files = tuple(f"{stem}{end}.csv" for end in ends)

@@ -30,13 +30,8 @@ def plan_schema() -> dict[str, Any]:
     plan = of_kinds("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
     head = {name: plan.pop(name) for name in ("$schema", "title")}
     properties = {"title": {"type": "string"}, "plan": plan}
-    return {
-        **head,
-        "type": "object",
-        "properties": properties,
-        "required": ["plan"],
-        "additionalProperties": False,
-    }
+    entries = {"type": "object", "properties": properties, "required": ["plan"]}
+    return {**head, **entries, "additionalProperties": False}
 
 
 @dataclass(frozen=True)
@@ -138,8 +133,8 @@ def plan_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
     try:
         sentences, names = file.kind.files(file, output)
     except LabpipeError as error:
-        field = f"plan.{error.field}: " if isinstance(error, ConfigError) and error.field else ""
-        error.what = f"{field}{error.what}" if not error.where else error.what
-        error.where = error.where or str(file.path)
+        if not error.where:
+            field = f"plan.{error.field}: " if isinstance(error, ConfigError) and error.field else ""
+            error.what, error.where = f"{field}{error.what}", str(file.path)
         raise
     return list(sentences), list(names)

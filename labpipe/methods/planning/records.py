@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from labpipe.records.finding import Contribution
 
@@ -89,7 +89,7 @@ class Plan:
     gains: tuple[tuple[str, float], ...]
     needed: float | None = None
     mass: float | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     gain_range: tuple[float, float] | None = None
     combined: bool = False
     unreachable: tuple[str, ...] = ()
@@ -124,9 +124,7 @@ class PlannedNumber:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One condition: *count* runs of *seconds* each [s]; share [1] of the time at the optimum; conditions:
-    name and text, in words.
-    """
+    """One condition, in words: *count* runs of *seconds* [s] each; share [1] of the time at the optimum."""
 
     name: str
     count: int

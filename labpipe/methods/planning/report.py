@@ -145,9 +145,7 @@ def _uncertainty(plan: records.Plan) -> Iterator[Section]:
             c.name,
             "" if c.goal_expanded is None else per_cent(c.goal_expanded),
             *(per_cent(number or 0.0) for number in (c.error_weighted, c.systematic, c.combined, c.expanded)),
-            ", ".join(
-                f"{part.source} {100 * part.share:.0f} %" for part in c.budget[:SOURCES] if part.share > SHOWN
-            ),
+            ", ".join(f"{p.source} {100 * p.share:.0f} %" for p in c.budget[:SOURCES] if p.share > SHOWN),
         )
         for c in stated
     )
@@ -261,9 +259,9 @@ def run_sentences(plan: records.RunPlan) -> Iterator[str]:
         "than the same time shared alike."
     )
     if aimed:
-        met = plan.needed is not None and plan.needed <= plan.duration * (1 + 1e-9)
-        needed = "no time meets them"
+        met, needed = False, "no time meets them"
         if plan.needed is not None:
+            met = plan.needed <= plan.duration * (1 + 1e-9)
             needed = f"they need {_time(plan.needed)} of such runs"
         yield f"The goals are {'met' if met else 'NOT met'}: {needed}, {_time(plan.duration)} are planned."
     if plan.undetermined:

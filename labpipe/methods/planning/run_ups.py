@@ -47,8 +47,7 @@ from labpipe.registry import nearest
 
 RUN_UPS = "run-ups"
 SPEEDS = ("critical_speed", "threshold")
-# Readings with a larger relative error are not planned with: a fit weighs along and across the measured
-# phasor, which is noise then.
+# No readings of a larger relative error: a fit weighs along and across the measured phasor, noise then.
 LARGEST_ERROR = 0.2
 
 
@@ -88,9 +87,7 @@ class TrialSettings(Settings):
 
 @dataclass(frozen=True)
 class RunUpPlanSettings(Settings):
-    """Which run-ups there could be, how well they are read, and what they are to tell; *rig*: contents of
-    `rotor`.
-    """
+    """Which run-ups there could be, how they are read, what they are to tell; *rig*: contents of `rotor`."""
 
     model: str = setting(
         "choice", "what will be identified: the oil film over load and speed", choices=(RUN_UPS,)
@@ -204,9 +201,7 @@ class RunUpPlanSettings(Settings):
         return np.asarray(2 * np.pi * np.linspace(low, high, max(round((high - low) / self.step), 0) + 1))
 
     def values(self, earlier: Mapping[str, float]) -> FloatArray:
-        """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] where none is
-        given.
-        """
+        """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] by default."""
         values = {name: 0.0 if name in EXPONENTS else 1.0 for name in PARAMETERS}
         values |= {**earlier, **{name: value for name, (value,) in self.expected}}
         return np.array([logarithm(name, values[name]) for name in PARAMETERS])
@@ -288,10 +283,7 @@ class RunUpChoice:
         return tuple(conditions)
 
     def plan(self, title: str) -> Answered:
-        """The runs that tell most within the time.
-
-        ConfigError where a goal cannot be met however many there are.
-        """
+        """The runs that tell most within the time. ConfigError where no number of runs meets a goal."""
         settings = self.settings
         spreads = np.where(np.isin(PARAMETERS, settings.known), KNOWN, PRIOR)
         question = RunQuestion(
@@ -381,8 +373,8 @@ def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, Fl
 
 def expected_rig(settings: RunUpPlanSettings, earlier: Mapping[str, float]) -> ExpectedRig:
     """The rig of the settings; *earlier*: factors and exponents [1] of an earlier fit."""
-    assert settings.rig is not None
-    rig: RunUpRotor = settings.rig
+    rig = settings.rig
+    assert rig is not None
     if rig.speeds is None:
         rig = replace(rig, speeds=(float(settings.omega[0]), float(settings.omega[-1])))
     family = family_about(rig, settings.loads, "a plan of run-ups")
@@ -412,13 +404,12 @@ def earlier_parameters(file: PlanFile) -> dict[str, float]:
     path = file.path.parent / file.settings.earlier
     result = read_identification(path).sections.get("run_ups")
     methods = [] if result is None else [method for method in result.methods if method.name == METHOD]
-    if not methods:
+    if result is None or not methods:
         what = f"{path.name} holds no joint fit of run-ups"
         raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
     values = {parameter.name: parameter.value for parameter in methods[0].parameters}
-    runs = () if result is None else result.runs
-    loads = [run.load for run in runs if run.role == TRAINED]
-    old = family_about(searched_over(file.settings.rig, runs), loads)
+    loads = [run.load for run in result.runs if run.role == TRAINED]
+    old = family_about(searched_over(file.settings.rig, result.runs), loads)
     new = expected_rig(file.settings, {}).family
     by_speed, by_load = (values.get(name, 0.0) for name in EXPONENTS)
     moved = (new.speed / old.speed) ** by_speed * (new.load / old.load) ** by_load
@@ -430,10 +421,7 @@ RUN_UPS_PLAN = PlanKind(RunUpPlanSettings, run_up_files)
 
 @dataclass(frozen=True)
 class ExpectedRig:
-    """The rotor with the family of its film, and the expected logarithms *values* (12,) [-] of PARAMETERS.
-
-    *reading*: its noise.
-    """
+    """The rotor, its film, the expected logarithms *values* (12,) [-] of PARAMETERS, noise of a *reading*."""
 
     rig: RunUpRotor
     family: FilmFamily
@@ -447,10 +435,7 @@ class ExpectedRig:
 
 @dataclass(frozen=True)
 class RunCandidate:
-    """A run under a *load* [N] at speeds (n_speed,) [rad/s], under an unbalance [kg m] by plane or a shaker.
-
-    Or on to the threshold.
-    """
+    """A run under a *load* [N] at speeds (n_speed,) [rad/s], an unbalance [kg m] by plane or a shaker."""
 
     name: str
     load: float
@@ -492,9 +477,7 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
 
 def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     """What a run tells of the logarithms of PARAMETERS, (12, 12) [-]; FitError for a threshold that the
-    search does not find.
-
-    Equation (plan-run-up).
+    search does not find. Equation (plan-run-up).
     """
     run = expected_run(expected, candidate)
     speeds = LoadRuns(run.load, run.speed, (ExcitedRun.of(expected.rig, run),))

@@ -20,12 +20,10 @@ from labpipe.estimation.statistics import combination_text
 from labpipe.methods.planning.designs import A, D, Design, certificate, optimum, variances
 from labpipe.methods.planning.records import PlannedNumber, PlannedRun, RunPlan
 
-# What makes the first runs comparable, before they determine everything: this share of the information of
-# all.
+# What makes the first runs comparable, before they determine all: this share of all information.
 SLIGHT = 1e-9
 MOST_EXCHANGES = 50
-# Eigenvalues of information below this share of the largest count as zero, parameters scaled to unit
-# diagonal.
+# Eigenvalues of information below this share of the largest are zero, parameters at unit diagonal.
 SINGULAR = 1e-12
 # Runs that a plan lists one by one, of the shortest kind.
 MOST_RUNS = 10_000
@@ -36,9 +34,7 @@ LONGEST = 1e6
 @dataclass(frozen=True)
 class RunChoices:
     """Runs to choose from: *cost* (n_run,) [s], *information* (n_run, n, n) [1] of one run each, *prior* (n,
-    n) [1] known before.
-
-    settled (n,) [1]: parameters that the prior settles for good; none unless given.
+    n) [1] known before. settled (n,) [1]: parameters that the prior settles for good; none unless given.
     """
 
     cost: FloatArray
@@ -127,9 +123,7 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
 
 
 def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:
-    """The counts with one run of every kind at least, those of the most frequent kind taken off as long as
-    the time is too short.
-    """
+    """The counts with one run of every kind at least, fewer of the most frequent where time is short."""
     counts = np.maximum(counts, 1)
     while float(counts @ choices.cost) > duration * (1 + 1e-9) and counts.max() > 1:
         counts[int(counts.argmax())] -= 1
@@ -191,17 +185,12 @@ def _values(criterion: str, information: FloatArray, wanted: FloatArray) -> Floa
 
 
 def errors_after(choices: RunChoices, counts: FloatArray | IntArray, wanted: FloatArray) -> FloatArray:
-    """Standard errors (n_wanted,) [1] of combinations *wanted* (n_wanted, n) [1].
-
-    Infinite where the runs leave them open.
-    """
+    """Standard errors (n_wanted,) [1] of *wanted* (n_wanted, n) [1]; infinite where left open."""
     return _errors(choices.of(counts), wanted)
 
 
 def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
-    """Standard errors (n_wanted,) [1] that no number of runs goes below: those of what is known before, where
-    runs tell nothing.
-    """
+    """Standard errors (n_wanted,) [1] that no number of runs goes below: those known before."""
     unseen = undetermined(choices)
     if unseen.size == 0:
         return np.zeros(len(wanted))
@@ -211,9 +200,7 @@ def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
 
 
 def undetermined(choices: RunChoices) -> FloatArray:
-    """Combinations (n, n_unseen) [1] of parameters that no run of the choices tells anything of, without what
-    is known before.
-    """
+    """Combinations (n, n_unseen) [1] of parameters of which no run tells anything."""
     n = len(choices.prior)
     free = np.arange(n) if choices.settled is None else np.flatnonzero(~choices.settled)
     total = np.einsum("a,aij->ij", 1 / choices.cost, choices.information)[np.ix_(free, free)]
@@ -241,9 +228,7 @@ def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
 
 
 def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) -> float:
-    """Factor [1] of the numbers of runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below
-    1; or infinity.
-    """
+    """Factor [1] of the runs after which all errors of *wanted* (n_wanted, n) [1 / goal] are below 1."""
     return least_factor(-30.0, lambda factor: errors_after(choices, counts * factor, wanted).max() <= 1)
 
 
@@ -261,9 +246,7 @@ def least_factor(low: float, enough: Callable[[float], object]) -> float:
 @dataclass(frozen=True)
 class Quantity:
     """A number that the runs tell: *row* (n,) [unit per parameter unit], its derivatives by the parameters;
-    *goal* [unit], None for none.
-
-    scale [unit]: what its errors are shown relative to, None for none.
+    *goal* [unit], None for none. scale [unit]: what its errors are shown relative to, None for none.
     """
 
     name: str
@@ -276,9 +259,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Condition:
-    """A candidate: one run of *seconds* [s] under *conditions* in words, with its information (n, n) [1] of
-    the parameters.
-    """
+    """A candidate: one run of *seconds* [s] under *conditions* in words, its information (n, n) [1]."""
 
     name: str
     seconds: float
@@ -288,9 +269,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Change:
-    """A change in *words*, made of *size* single ones: the conditions there would be, and the parameters
-    *settled* then.
-    """
+    """A change in *words*, of *size* single ones: the conditions then, and the parameters *settled*."""
 
     words: str
     size: int
@@ -317,14 +296,10 @@ class RunQuestion:
     settled: tuple[str, ...] = ()
     remedies: tuple[Change, ...] = ()
 
-    def choices(self) -> RunChoices:
-        """The conditions as choices, parameters in their units."""
-        return self._choices(self.conditions, self.settled)
-
-    def changed(self, change: Change) -> RunChoices:
-        return self._choices(change.conditions, (*self.settled, *change.settled))
-
-    def _choices(self, conditions: Sequence[Condition], settled: Sequence[str]) -> RunChoices:
+    def choices(self, change: Change | None = None) -> RunChoices:
+        """The conditions, or those after a *change*, as choices, parameters in their units."""
+        conditions = self.conditions if change is None else change.conditions
+        settled = (*self.settled, *(() if change is None else change.settled))
         cost = np.array([condition.seconds for condition in conditions])
         information = np.stack([condition.information for condition in conditions])
         size = np.outer(self.units, self.units)
@@ -333,9 +308,7 @@ class RunQuestion:
 
 @dataclass(frozen=True)
 class Answered:
-    """The plan, and the covariance (n, n) [parameter units squared] of the parameters after all planned
-    runs.
-    """
+    """The plan, and the covariance (n, n) [parameter units squared] after all planned runs."""
 
     plan: RunPlan
     covariance: FloatArray
@@ -345,11 +318,7 @@ class Answered:
 
 
 def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str] = ()) -> Answered:
-    """The best runs.
-
-    ConfigError where none of the goals can be met by any number of them, FitError where nothing is
-    determined.
-    """
+    """The best runs. ConfigError for goals that no number of them meets, FitError for none determined."""
     choices = question.choices()
     quantities = question.quantities
     aimed = [quantity for quantity in quantities if quantity.goal is not None] or list(quantities)
@@ -390,10 +359,9 @@ def _check_open(
     beyond += [quantity.name for quantity, error in pairs if not np.isfinite(error)]
     if not beyond:
         return
-    names = ", ".join(dict.fromkeys(beyond))
+    never = f"they do not determine {', '.join(dict.fromkeys(beyond))} to the goal"
     unseen = "; ".join(_words(question.parameters, choices, question.units))
-    never = f"however many runs there are, they do not determine {names} to the goal"
-    what = f"{never}: no run tells {unseen}"
+    what = f"however many runs there are, {never}: no run tells {unseen}"
     remedies = _remedies(question)
     hint = f"{' or '.join(remedies)} would determine all" if remedies else "another kind of run"
     raise SettingError("goal", what, hint)
@@ -410,16 +378,14 @@ def _remedies(question: RunQuestion) -> tuple[str, ...]:
     for change in question.remedies:
         if helpful and change.size > helpful[-1].size:
             break
-        helpful += [change] if undetermined(question.changed(change)).size == 0 else []
+        helpful += [change] if undetermined(question.choices(change)).size == 0 else []
     return tuple(change.words for change in helpful)
 
 
 def _gain(
     criterion: str, choices: RunChoices, design: RunDesign, flat: FloatArray, wanted: FloatArray
 ) -> float:
-    """Error of an equal division over that of the design: of the largest, the root of the sum of squares, or
-    the volume's n-th root.
-    """
+    """Error of an equal division over the design's: largest, root sum of squares, or volume's n-th root."""
     if criterion == D:
         levels = [float(np.linalg.slogdet(choices.of(counts))[1]) for counts in (design.counts, flat)]
         return float(np.exp((levels[0] - levels[1]) / (2 * len(choices.prior))))

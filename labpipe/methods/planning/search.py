@@ -71,8 +71,7 @@ DISPLACEMENT_SHARES = (0.0, 0.5, 1.0)
 # Candidates that are looked at closely, of those that did best at a first look.
 CLOSE = 3
 CLOSE_STARTS = 2
-# Phases of a flat multisine: as they are known, of the least crest factor, or of the least peak of forces and
-# displacements.
+# Phases of a flat multisine: as known, of least crest factor, or of least peak of force and displacement.
 SCHROEDER, LEAST_CREST, BOTH_LIMITS = FLAT_PHASES = ("schroeder", "least crest", "both limits")
 # Share of the power on all lines alike that is tried whatever floor is asked for.
 USUAL_FLOOR = 0.2
@@ -83,9 +82,8 @@ BALANCING = 5
 @dataclass(frozen=True)
 class Wanted:
     """*criterion*: minimax, A or D; goals (n_coefficient,) [1]: relative standard errors, infinite for
-    coefficients that are not wanted.
-
-    floor [1]: share of the cost on all lines alike, whatever the optimum is.
+    coefficients that are not wanted. floor [1]: share of the cost on all lines alike, whatever the optimum
+    is.
     """
 
     criterion: str
@@ -103,7 +101,6 @@ class Wanted:
 @dataclass(frozen=True)
 class Source:
     """A design on the shakers: where it comes from, and its power (n_line, n_shaker) [1] before scaling.
-
     floor [1]: share of the power that is on all lines alike.
     """
 
@@ -123,9 +120,7 @@ class Candidate(Source):
 
 
 def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
-    """Equal amplitudes on all lines (n_line,) [multiples] and shakers, equal times, with the *phases* of
-    FLAT_PHASES.
-    """
+    """Equal amplitudes on all lines (n_line,) [multiples] and shakers, equal times, with these *phases*."""
     tests = SCHEMES[scheme](lines, np.ones((lines.size, len(rig.shakers))), rig.shakers)
     if phases == SCHROEDER:
         tests = tuple(test.turned(schroeder_phases(test.lines)[:, None]) for test in tests)
@@ -137,10 +132,7 @@ def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> C
 
 
 def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Candidate:
-    """The design that tells most at the limits, among lines (n_line,) [multiples].
-
-    ConfigError where no crest factor fits.
-    """
+    """The design that tells most, of lines (n_line,) [multiples]. ConfigError where no crest factor fits."""
 
     def poor(candidate: Candidate) -> float:
         return score(candidate.campaign.information, wanted.criterion, wanted.goals)
@@ -162,16 +154,12 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
 
 
 def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
-    """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included, for the
-    certificate.
-    """
+    """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included."""
     return _design(_candidates(rig, lines, 0.0), wanted, wanted.criterion, wanted.floor)
 
 
 def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
-    """All lines and shakers at a *share* [1] of the displacement in the cost, with what is known before
-    inside each of them.
-    """
+    """All lines and shakers at a displacement's *share* [1] in the cost, with what is known before."""
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
     omega = 2 * np.pi * rig.spacing * lines
     of_lines = candidates(rig.model, rig.noise, omega, rig.directions, share, stroke)
@@ -192,9 +180,7 @@ def _design(pool: Candidates, wanted: Wanted, criterion: str, floor: float) -> D
 
 
 def _balance(pool: Candidates, wanted: Wanted, criterion: str, floor: float, n_shaker: int) -> Design:
-    """The optimum for shakers that run at once, with a limit each: the price of a shaker's force rises until
-    all do the same.
-    """
+    """The optimum for shakers at once: the price of a shaker's force rises until all do the same."""
     price = np.ones(n_shaker)
     shaker = np.arange(pool.line.size) % n_shaker
     for _ in range(BALANCING):

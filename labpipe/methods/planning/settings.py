@@ -21,9 +21,7 @@ PLANS = Registry("plan")
 
 @dataclass(frozen=True)
 class PlanKind:
-    """*settings*: the dataclass of the section `plan:`; *files*: (PlanFile, OutputFolder) -> sentences, names
-    of files.
-    """
+    """*settings*: of the section `plan:`; *files*: (PlanFile, OutputFolder) -> sentences, names of files."""
 
     settings: type[Any]
     files: Callable[[Any, Any], tuple[list[str], list[str]]]
@@ -76,9 +74,7 @@ def check_distinct(settings: Any, *fields: str) -> None:
 
 @dataclass(frozen=True)
 class TheorySettings(Settings):
-    """A bearing whose theory is expected: of a bearing file at its load and speed, or on the rotor of a rotor
-    file; *rig*: of `rotor`.
-    """
+    """A bearing whose theory is expected, by its file or on a rotor file's rotor; *rig*: of `rotor`."""
 
     bearing: str = setting(
         "file", "bearing file; its y and z are the plan's x and y", default="", file_kind="bearing"

@@ -123,12 +123,10 @@ class StatePlanSettings(Settings):
 
     def at(self, speed: float) -> PlanSettings:
         """The settings of the test of one state at a *speed* [Hz]; ConfigError as for any test."""
-        names = (
-            "mass band period sample_rate force_limit displacement_limit noise noise_density scheme exclude"
-        )
+        names = "mass band period sample_rate force_limit displacement_limit noise noise_density scheme"
         return PlanSettings(
             FLOATING,
-            **{name: getattr(self, name) for name in (*names.split(), "mains", "skip")},
+            **{name: getattr(self, name) for name in (*names.split(), "exclude", "mains", "skip")},
             duration=self.periods * self.period,
             expected=tuple((name, 1.0) for name in COEFFICIENTS),
             speed=speed,
@@ -137,9 +135,7 @@ class StatePlanSettings(Settings):
 
 @dataclass(frozen=True)
 class Common:
-    """A number of the bearing that all states have in common: value [unit], standard error known before, None
-    for nothing.
-    """
+    """A number that all states have in common: value [unit], standard error known before, if any."""
 
     name: str
     value: float
@@ -164,9 +160,7 @@ class BearingState:
 
 @dataclass(frozen=True)
 class StateTest:
-    """The test of a state: the rig, its multisine, the information (8, 8) [1/units] of the coefficients by
-    one run, and what to note.
-    """
+    """The test of a state: rig, multisine, information (8, 8) [1/units] of the coefficients by one run."""
 
     state: BearingState
     rig: Rig
@@ -184,19 +178,18 @@ def state_test(settings: StatePlanSettings, state: BearingState) -> StateTest:
     factor = plan.weighting_factor(settings.periods, of_spectra=True)
     scales = np.outer(state.model.scales, state.model.scales)
     information = campaign.rate * settings.periods * settings.period / factor**2 / scales
-    planned = plan.planned_test(rig, campaign.tests[0], settings.periods, settings.skip)
+    (test,) = campaign.tests
+    planned = plan.planned_test(rig, test, settings.periods, settings.skip)
     notes = plan.settling_notes(rig, campaign, (settings.periods,), settings.skip)
     named = tuple(f"{state.name}: {note}" for note in notes)
-    return StateTest(state, rig, campaign.tests[0], planned, information, named)
+    return StateTest(state, rig, test, planned, information, named)
 
 
 def question_of(
     settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]
 ) -> RunQuestion:
     """What is asked of the runs: parameters are the numbers in common, or where there are none the
-    coefficients of every state.
-
-    Equation (plan-states).
+    coefficients of every state. Equation (plan-states).
     """
     if common:
         slopes = [test.state.slopes for test in tests]
@@ -252,18 +245,16 @@ UNTESTED = (
 def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
     settings: StatePlanSettings = file.settings
     answered, tests = plan_states(settings, file.title, file.path.parent)
-    names = []
+    names, evaluations = [], {}
     for run in answered.plan.runs:
         test = tests[run.name]
+        at = settings.at(test.state.speed)
+        evaluations[run] = Evaluation(at, file.title, (test.planned,), with_masses=False)
         period = plan.period_signals(test.multisine, settings.sample_rate, settings.period)
         for axis, samples in zip(AXES, period.T, strict=True):
             names.append(f"signals/{run.name}-{axis}.csv")
             whole = np.tile(samples, settings.periods + settings.skip)
             write_signal(output.write_path(names[-1]), whole, settings.sample_rate, "f [N]")
-    evaluations = {}
-    for run in answered.plan.runs:
-        at, planned = settings.at(tests[run.name].state.speed), tests[run.name].planned
-        evaluations[run] = Evaluation(at, file.title, (planned,), with_masses=False)
     entries = {
         RIG: rig_entries(next(iter(evaluations.values()))),
         PIPELINE: _pipeline(file.title, evaluations, tests, output.target.absolute()),
@@ -275,10 +266,7 @@ def state_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[s
 def plan_states(
     settings: StatePlanSettings, title: str, folder: Path
 ) -> tuple[Answered, dict[str, StateTest]]:
-    """The runs that tell most within the time, with the tests of all states by name.
-
-    ConfigError where the goals cannot be met.
-    """
+    """The runs that tell most in the time, all tests by name. ConfigError where no goal can be met."""
     bearing = open_bearing(folder / settings.bearing)
     for name in ("load", "speed"):
         if name not in settings_of(bearing.kind.settings):

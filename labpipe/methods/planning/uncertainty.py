@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 
 import numpy as np
 from scipy import fft
@@ -54,9 +55,7 @@ class Excitation:
 
     @classmethod
     def of_directions(cls, frequency: FloatArray, directions: ComplexArray) -> Excitation:
-        """Each of *directions* (n_direction, n_dof) [1] on every *frequency* (n_line,) [Hz], in tests of
-        their own.
-        """
+        """Each of *directions* (n_direction, n_dof) [1] on every *frequency* (n_line,) [Hz], one by one."""
         return cls(np.repeat(frequency, len(directions)), np.tile(directions, (frequency.size, 1)))
 
 
@@ -90,9 +89,7 @@ class Identifiability:
 
 def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
     """Rank of what the excitation tells of the model's coefficients, in the expected state of the rig, with
-    remedies tried out.
-
-    Equation (plan-rank).
+    remedies tried out. Equation (plan-rank).
     """
     ranked = _rank(model, noise, excitation)
     if ranked.full:
@@ -113,8 +110,7 @@ def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifi
     _, singular, right = np.linalg.svd(scaled, full_matrices=True)
     rank = int(np.count_nonzero(singular > SINGULAR * singular[0]))
     involved = np.any(np.abs(right[rank:]) > INVOLVED, axis=0)
-    undetermined = tuple(name for name, part in zip(model.names, involved, strict=True) if part)
-    return Identifiability(rank, len(model.names), undetermined)
+    return Identifiability(rank, len(model.names), tuple(compress(model.names, involved)))
 
 
 def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
@@ -135,8 +131,7 @@ DRAWS = 200
 SEED = 1
 # The middle share of the draws that ranges hold.
 MIDDLE = 0.95
-# A gain of less than this share of the predicted one, or errors of more than this times the predicted ones,
-# at an end of their range.
+# At an end of the range: gain below this share of the predicted, errors above so many times theirs.
 LEAST_GAIN, MOST_ERROR = 0.8, 1.25
 
 
@@ -164,10 +159,7 @@ class Earlier:
         return [(model.names.index(name), self.names.index(name)) for name in shared]
 
     def covariance_of(self, model: PlannedModel, without: Sequence[str] = ()) -> FloatArray:
-        """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients.
-
-        Zero for those that are typed.
-        """
+        """(n_coefficient, n_coefficient) [squared SI units] of a model's coefficients, of typed ones zero."""
         whole = np.zeros((len(model.names),) * 2)
         there, here = np.array(self.places(model), int).reshape(-1, 2).T
         whole[np.ix_(there, there)] = self.covariance(without)[np.ix_(here, here)]
@@ -177,9 +169,7 @@ class Earlier:
         self, model: PlannedModel, duration: float, common: Sequence[str] = ()
     ) -> campaigns.EarlierInformation:
         """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as
-        well, which add no uncertainty here.
-
-        ConfigError where the result states no errors.
+        well, which add no uncertainty here. ConfigError where the result states no errors.
         """
         covariance = self.covariance_of(model, common)
         there = [number for number, _ in self.places(model)]
@@ -254,16 +244,12 @@ def spread(
 def _rate(rig: campaigns.Rig, truth: campaigns.Rig, campaign: campaigns.Campaign) -> FloatArray:
     """What a campaign tells per second on the rig as it is, (n, n) [1/s], relative to the expected scales."""
     ratio = rig.model.scales / truth.model.scales
-    return np.asarray(
-        campaigns.with_shares(truth, campaign.tests, campaign.shares).rate * np.outer(ratio, ratio)
-    )
+    rate = campaigns.with_shares(truth, campaign.tests, campaign.shares).rate
+    return np.asarray(rate * np.outer(ratio, ratio))
 
 
 def spread_notes(drawn: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
-    """What the uncertainty of the expectation means for the plan.
-
-    *predicted* (n,) [1] errors, *gain* [1] over flat.
-    """
+    """What an unsure expectation means for *predicted* errors (n,) [1] and the *gain* [1] over flat."""
     notes = []
     low, high = drawn.gain
     if low < LEAST_GAIN * gain or np.any(drawn.errors[1] > MOST_ERROR * predicted):
@@ -338,8 +324,7 @@ def _direction(channel: Channel, n_dof: int) -> ComplexArray:
 
 
 COVERAGE = 0.95
-# Share of the variance that is systematic from which on longer measuring hardly helps: less than a tenth of
-# the combined uncertainty.
+# Systematic share of the variance where measuring longer gains less than a tenth of the uncertainty.
 LASTING = 0.81
 # Share of the variance that a goal leaves to noise, at least, where a source is to be calibrated for it.
 FOR_NOISE = 0.1
@@ -390,19 +375,13 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
 
 
 def factors(budget: Budget | None, n: int) -> FloatArray:
-    """Coverage factors (n_coefficient,) [1] by the effective degrees of freedom.
-
-    *n* of the normal distribution without a budget.
-    """
-    if budget is None:
-        return np.full(n, coverage_factor(COVERAGE, float("inf")))
-    return np.array([coverage_factor(COVERAGE, float(dof)) for dof in budget.dof])
+    """Coverage factors (n_coefficient,) [1] by effective degrees of freedom, infinite without a budget."""
+    dofs = np.full(n, np.inf) if budget is None else budget.dof
+    return np.array([coverage_factor(COVERAGE, float(dof)) for dof in dofs])
 
 
 def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
-    """What a design aims at (n_coefficient,) [1]: the limits, or where none meets the goal a tenth of it, so
-    that noise adds little.
-    """
+    """What a design aims at (n_coefficient,) [1]: the limits, or a tenth of a goal that none meets."""
     return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
 
 
@@ -429,9 +408,7 @@ def beside_earlier(
 def with_uncertainty(
     coefficients: Sequence[PlannedCoefficient], budget: Budget
 ) -> tuple[PlannedCoefficient, ...]:
-    """The coefficients with systematic, combined and expanded uncertainty, relative to their scales, and the
-    share of every source.
-    """
+    """The coefficients with relative systematic, combined and expanded uncertainty, shares of sources."""
     of_all = factors(budget, len(coefficients))
     columns = zip(coefficients, budget.systematic, budget.combined, of_all, strict=True)
     return tuple(
@@ -463,17 +440,12 @@ def lasting_notes(coefficients: Sequence[PlannedCoefficient]) -> Iterator[str]:
 
 
 def unreachable(goals: Goals, allowed: FloatArray) -> BoolArray:
-    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: as of
-    `limits`.
-    """
+    """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: `limits`."""
     return np.asarray(np.isfinite(goals.expanded) & (allowed <= 0))
 
 
 def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: FloatArray) -> Iterator[str]:
-    """For every goal that no time meets, which source must be known how well.
-
-    *random* (n_coefficient,) [units] of the planned test.
-    """
+    """For every goal that no time meets, which source must be known how well; *random* (n,) [units]."""
     allowed = scales * goals.expanded / factors(budget, len(scales))
     for number in np.flatnonzero(unreachable(goals, limits(goals, budget, scales))):
         name, changes = budget.names[number], np.abs(budget.changes[:, number])
@@ -498,10 +470,7 @@ def _listing(budget: Budget, changes: FloatArray) -> str:
 
 
 def _size(source: Uncertainty, share: float) -> str:
-    """A standard uncertainty times a share, in per cent where it is relative.
-
-    What has to be reached is rounded down.
-    """
+    """A standard uncertainty times a share, relative in per cent; below one rounded down."""
     size = source.std_error * share
     unit = "%" if source.unit == "1" else shown_unit(source.unit, size)
     shown = 100 * size if unit == "%" else difference_in(size, unit)

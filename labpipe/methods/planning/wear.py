@@ -67,9 +67,7 @@ class WearGoal(Settings):
 
 @dataclass(frozen=True)
 class WearPlanSettings(Settings):
-    """Which tests there could be, how they are measured, and what they are to tell; *rig*: contents of
-    `rotor`.
-    """
+    """Which tests there could be, how measured, what they are to tell; *rig*: contents of `rotor`."""
 
     model: str = setting("choice", "what will be identified: depth and angle of wear", choices=(WORN,))
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
@@ -184,9 +182,7 @@ class ResponseTest:
 
 @dataclass(frozen=True)
 class ExpectedWear:
-    """A rotor with the expected *values* [SI] of the parameters, wear_depth and wear_angle of the *bearing*
-    first.
-    """
+    """A rotor with expected *values* [SI], wear_depth and wear_angle of the *bearing* first."""
 
     rig: RotorRig
     bearing: str
@@ -200,9 +196,7 @@ class ExpectedWear:
     def receptance_and_slopes(
         self, lines: FloatArray, mesh: FilmMesh = MESH
     ) -> tuple[ComplexArray, ComplexArray]:
-        """H (n_line, 2, 2) [m/N] at lines (n_line,) [Hz], and its derivatives (n, n_line, 2, 2) by the
-        parameters [m/N per SI unit].
-        """
+        """H (n_line, 2, 2) [m/N] at lines [Hz], its derivatives (n, n_line, 2, 2) [m/N per SI unit]."""
         loads = self.rig.static_loads()
         supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
         response, slopes = self._response(lines, supports, self.beta)
@@ -243,9 +237,7 @@ def information(
     expected: ExpectedWear, testing: ResponseTest, band: tuple[float, float], terms: str = "full"
 ) -> FloatArray:
     """What a test in a *band* [Hz] tells of the parameters, (n, n) [1/SI units squared], from these *terms*
-    of the receptance.
-
-    Equation (plan-wear).
+    of the receptance. Equation (plan-wear).
     """
     lines = testing.lines(band)
     response, slopes = expected.receptance_and_slopes(lines)
@@ -345,10 +337,7 @@ class WearTests:
         return tuple(conditions)
 
     def plan(self, title: str) -> RunPlan:
-        """The tests that tell most within the time.
-
-        ConfigError where a goal cannot be met however many there are.
-        """
+        """The tests that tell most within the time. ConfigError where no number of them meets a goal."""
         settings, values = self.settings, self.expected.values
         goals = {DEPTH: settings.goal.depth, ANGLE: settings.goal.angle}
         remedies: tuple[Change, ...] = ()
@@ -411,10 +400,10 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
     tests = WearTests(settings, settings.expected)
     plan = tests.plan(file.title)
     rotor = yaml.safe_load((file.path.parent / settings.rotor).read_text(encoding="utf-8"))
-    others = [
-        load if load["node"] != settings.node else {**load, "z": "0 N"} for load in rotor.get("loads") or ()
-    ]
+    loads = rotor.get("loads") or ()
+    others = [{**load, "z": "0 N"} if load["node"] == settings.node else load for load in loads]
     files: dict[str, Any] = {}
+    expected, noise = settings.expected, settings.noise
     for run in plan.runs:
         point = tests.points[run.name]
         files[f"rotor-{run.name}.yaml"] = {
@@ -422,7 +411,6 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
             "speed": f"{point.speed!r} Hz",
             "loads": [*others, {"node": settings.node, "z": f"{point.force!r} N"}],
         }
-        expected = settings.expected
         files[f"virtual-{run.name}.yaml"] = {
             "kind": "virtual-journal-rig",
             "rotor": f"rotor-{run.name}.yaml",
@@ -433,10 +421,7 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
             "bandwidth": f"{point.band[1]!r} Hz",
             "sample_rate": f"{settings.sample_rate!r} Hz",
             "duration": f"{run.count * settings.run!r} s",
-            "noise": {
-                "displacement": f"{settings.noise.displacement!r} m",
-                "force": f"{settings.noise.force!r} N",
-            },
+            "noise": {"displacement": f"{noise.displacement!r} m", "force": f"{noise.force!r} N"},
         }
     channels = {
         "f": {"column": "force [N]", "quantity": "force", "unit": "N", "role": "input", "dof": "y"},
@@ -449,17 +434,13 @@ def wear_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[st
 
 
 def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
-    """The pipeline that evaluates the tests: each fit begins with what the one before has found, so that the
-    last one knows all.
-    """
+    """The pipeline that evaluates the tests: each fit begins with what the one before has found."""
     settings = choice.settings
     tests, fits, last = [], {}, ""
     for run in plan.runs:
         folder, point = f"recordings/{run.name}", choice.points[run.name]
-        recordings = [
-            f"{folder}/worn-y.parquet",
-            {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}},
-        ]
+        in_z = {"file": f"{folder}/worn-z.parquet", "channels": {"f": {"dof": "z"}}}
+        recordings = [f"{folder}/worn-y.parquet", in_z]
         conditions = {"speed": f"{point.speed!r} Hz", "load": f"{point.force!r} N"}
         tests.append({"name": run.name, "recordings": recordings, "conditions": conditions})
         wear: dict[str, Any] = {"rotor": f"rotor-{run.name}.yaml", "bearing": choice.expected.bearing}
