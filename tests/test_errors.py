@@ -6,8 +6,7 @@ And tables of choices that name the nearest known choice.
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from labpipe.errors import ConfigError, ConfigErrors, DataError, FitError, LabpipeError
 from labpipe.registry import Registry, nearest

@@ -20,22 +20,21 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.project.archive import (
-    RESULTS,
-    Unpacked,
-    check_output,
-    contents,
-    is_archive,
-    unpack,
-    write_archive,
-)
+from labpipe.project.archive import RESULTS, Unpacked, check_output, contents, is_archive, pack, unpack
 from labpipe.project.one_test import change_day
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
-from labpipe.project.run_record import begin as begin_record
-from labpipe.project.run_record import faults_of_record, head, record_of_runs, runs_of
-from labpipe.project.signing import DETACHED, ROLES, Key, Trust, drawn_from_another, signatures, signed_files
-from labpipe.project.signing import sign as signed
+from labpipe.project.run_record import begin as begin_record, faults_of_record, head, record_of_runs, runs_of
+from labpipe.project.signing import (
+    DETACHED,
+    ROLES,
+    Key,
+    Trust,
+    drawn_from_another,
+    sign as signed,
+    signatures,
+    signed_files,
+)
 from labpipe.project.verification import Verified, differences, pipeline_folder, verified
 
 
@@ -83,7 +82,7 @@ def archive(
     pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
-        write_archive(packed, output, day or change_day(folder / NAME))
+        pack(packed, output, day or change_day(folder / NAME))
     if quiet:
         return
     kept = [member for member in packed.members if member.kept]

@@ -10,8 +10,7 @@ import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import results_read
-from labpipe.artefacts.writing import show as shown_path
-from labpipe.artefacts.writing import write_rows
+from labpipe.artefacts.writing import show as shown_path, write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import difference_in, shown_unit, unit_label, with_error, written

@@ -22,8 +22,7 @@ from labpipe.project.many_tests import hindrance
 from labpipe.project.measured import files_of_test
 from labpipe.project.pipeline_file import load_for_files_to_come, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
-from labpipe.project.run import Manner, independent_fits, run_only
-from labpipe.project.run import run as run_pipeline
+from labpipe.project.run import Manner, independent_fits, run as run_pipeline, run_only
 from labpipe.project.run_record import recorded
 from labpipe.project.watch import Watch, WatchSettings
 from labpipe.quantities import UnitError, parse_value

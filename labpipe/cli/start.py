@@ -19,8 +19,7 @@ from labpipe.artefacts.writing import OutputFolder, output_folder
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_findings
 from labpipe.errors import ConfigError
-from labpipe.project.inspect import inspect as content_of
-from labpipe.project.inspect import write_card
+from labpipe.project.inspect import inspect as content_of, write_card
 from labpipe.project.report import format_of
 from labpipe.project.rig_file import load_rig
 from labpipe.project.scaffold import MARK, scaffold

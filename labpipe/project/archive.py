@@ -21,8 +21,7 @@ from typing import IO
 
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import code_digest, source_ref
-from labpipe.artefacts.identification_file import NAME as IDENTIFICATION
-from labpipe.artefacts.identification_file import read_identification
+from labpipe.artefacts.identification_file import NAME as IDENTIFICATION, read_identification
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.writing import is_remote, output_file, path_of, show
@@ -228,7 +227,7 @@ def check_output(path: Path) -> None:
         raise ConfigError("is there already", path, hint)
 
 
-def write_archive(contents: Contents, path: Path, date: str) -> None:
+def pack(contents: Contents, path: Path, date: str) -> None:
     """Write the archive, an .eln with one folder around all. DataError where a file changes meanwhile."""
     check_output(path)
     around = f"{path.stem}/" if path.suffix.lower() == ELN else ""

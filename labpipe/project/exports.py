@@ -22,8 +22,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts import measured_files
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.parquet import arrow_array, open_parquet
-from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
-from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX, open_recording
 from labpipe.artefacts.writing import cell, output_file, write_table_csv
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.deciding import stated_error

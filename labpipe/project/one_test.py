@@ -21,8 +21,7 @@ from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
 from labpipe.artefacts.parquet import header_of, made_again
 from labpipe.artefacts.places import StorageError, fetch, status
-from labpipe.artefacts.recording_file import SUFFIX as RECORDING
-from labpipe.artefacts.recording_file import StoredRecording
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING, StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.settings import FitSettings

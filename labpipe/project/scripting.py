@@ -29,8 +29,7 @@ from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import DEFAULT_ROLES, load_rig
-from labpipe.project.run import Manner
-from labpipe.project.run import run as run_pipeline
+from labpipe.project.run import Manner, run as run_pipeline
 from labpipe.project.run_record import recorded
 from labpipe.project.settings_reader import DECIDE, FILE_KINDS
 from labpipe.project.simulate import load_virtual_rig

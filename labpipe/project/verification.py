@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.artefacts import measured_files
-from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX
-from labpipe.artefacts.dataset_file import Part, read_part
+from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX, Part, read_part
 from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.identification_file import FOLDER, NAME, read_fits, read_identification
 from labpipe.artefacts.json_file import DIGEST, read_digested
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.places import fetch, status
-from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX
-from labpipe.artefacts.recording_file import open_recording
+from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX, open_recording
 from labpipe.artefacts.writing import is_remote, without_staging
 from labpipe.errors import DataError
 from labpipe.project.measured import CONDITIONS, DESCRIPTION, RIGS

@@ -19,8 +19,7 @@ from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
 from labpipe.raw_files import uff
 from labpipe.raw_files.frf_csv import checked_coherence, cube
 from labpipe.raw_files.table import unique
-from labpipe.records.response import FORMS as RESPONSE_FORMS
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import FORMS as RESPONSE_FORMS, FrequencyResponse, Port
 from labpipe.records.rig import AXIS_ANGLES
 
 # Specific data types of a record's axes -> SI unit.

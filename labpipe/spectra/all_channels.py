@@ -28,7 +28,7 @@ from labpipe.spectra.covariance import SAME_ERRORS, SAME_SHARE
 from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
 from labpipe.spectra.periodic import period_average
-from labpipe.spectra.ports import check_rates, source_findings, without_short
+from labpipe.spectra.ports import check_rate, source_findings, without_short
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings
 from labpipe.spectra.random_lines import MeasuredLines, random_lines, snr_findings
 from labpipe.spectra.settings import FrfSettings
@@ -160,7 +160,7 @@ def channel_spectra(
     where any force acts in any run. DataError for recordings that do not fit together, are too short, hold
     NaN or no force, ConfigError for an excitation other than periodic and random.
     """
-    check_rates(sources)
+    check_rate(sources)
     if settings.excitation not in EXCITATIONS:
         what = f"excitation {settings.excitation} gives no spectra side by side"
         raise SettingError("excitation", what, "known: periodic, random")

@@ -19,15 +19,7 @@ from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import hit_counts, impact_parts, of_recordings
 from labpipe.spectra.joint import joint_parts
 from labpipe.spectra.periodic import periodic_parts, realisations, robust_mean
-from labpipe.spectra.ports import (
-    Layout,
-    Parts,
-    check_rates,
-    find_layout,
-    join,
-    source_findings,
-    without_short,
-)
+from labpipe.spectra.ports import Layout, Parts, check_rate, find_layout, join, source_findings, without_short
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
 from labpipe.spectra.random import random_parts
 from labpipe.spectra.random_lines import LOW_SNR
@@ -64,7 +56,7 @@ def measure(
     hold NaN, or whose forces are not independent; one too short for an average is left out by name beside
     longer ones of its channels.
     """
-    check_rates(sources)
+    check_rate(sources)
     if settings.excitation not in EXCITATIONS:
         raise ConfigError(
             f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"

@@ -112,7 +112,7 @@ def response_ports(
     """The responses of recordings without regard to forces: ports, the columns of each recording, channels.
     DataError as find_layout.
     """
-    check_rates(sources)
+    check_rate(sources)
     return _ports_of(sources, "output")
 
 
@@ -202,7 +202,7 @@ def _check_complete(sources: Sequence[SampleSource], columns: Sequence[dict[Key,
             raise DataError(f"recording '{source.name}' lacks the response {missing} of another recording")
 
 
-def check_rates(sources: Sequence[SampleSource]) -> None:
+def check_rate(sources: Sequence[SampleSource]) -> None:
     """DataError for no recordings, and for recordings of different sampling rates."""
     rates = [source.sample_rate for source in sources]
     if not rates:

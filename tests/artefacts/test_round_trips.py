@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.methods.rotor.section import UnbalanceCase, UnbalanceRuns

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.arrays import ComplexArray
-from labpipe.estimation import likelihood as start_values
-from labpipe.estimation import output_error
+from labpipe.estimation import likelihood as start_values, output_error
 from labpipe.estimation.descent import linearised
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.likelihood import starts

@@ -8,8 +8,7 @@ from pathlib import Path
 import yaml
 
 from labpipe import __version__
-from labpipe.artefacts import dataset_file, header, identification_file
-from labpipe.artefacts import identification_file as fits_file
+from labpipe.artefacts import dataset_file, header, identification_file, identification_file as fits_file
 
 ROOT = Path(__file__).parent.parent.parent
 

@@ -22,8 +22,13 @@ from labpipe.methods.modal.model_error import phase_collinearity
 from labpipe.methods.planning.campaigns import schroeder_phases_of
 from labpipe.methods.planning.designs import certificate, variances
 from labpipe.methods.ring_down.virtual_rig import KIND, DecayRig, motion
-from labpipe.methods.rolling_bearing.settings import BallGeometry, ellipse_ratio, in_series, point_contact
-from labpipe.methods.rolling_bearing.settings import Material as HertzMaterial
+from labpipe.methods.rolling_bearing.settings import (
+    BallGeometry,
+    Material as HertzMaterial,
+    ellipse_ratio,
+    in_series,
+    point_contact,
+)
 from labpipe.methods.rotor.shaft import ShaftElement, plane_inertia, plane_stiffness, shape_functions
 from labpipe.raw_files.excitation import Sweep, schroeder_phases
 from labpipe.spectra.covariance import covariance_of_h1, covariance_of_random

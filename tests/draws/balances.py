@@ -17,8 +17,7 @@ import numpy as np
 from labpipe.records.identification import Fit
 from labpipe.records.spectra import ChannelSpectra
 from tests.methods.floating_bearing.floating_rig import SEAL, kcm, truth
-from tests.methods.floating_bearing.test_fit import EVEN, GIVEN
-from tests.methods.floating_bearing.test_fit import fitted as floating
+from tests.methods.floating_bearing.test_fit import EVEN, GIVEN, fitted as floating
 from tests.methods.magnetic_bearing.levitated import COUPLED, circular
 from tests.methods.magnetic_bearing.test_fit import fitted as magnet
 

@@ -32,8 +32,7 @@ from labpipe.methods.planning.records import Plan
 from labpipe.records.finding import WARNING, Finding, Parameter
 from tests.methods.floating_bearing.test_stated_numbers import BENCH, FILM, fitted
 from tests.methods.magnetic_bearing.recorded_axis import Axis, certificate_pipeline, fit_pipeline, written
-from tests.methods.planning.test_settling import DAMPING, PLAN, STIFFNESS, from_rest
-from tests.methods.planning.test_settling import MASS as SEISMIC
+from tests.methods.planning.test_settling import DAMPING, MASS as SEISMIC, PLAN, STIFFNESS, from_rest
 
 # One world: the parameters that were found, the findings, and the truth by name.
 World = tuple[Iterable[Parameter], Iterable[Finding], dict[str, float]]

@@ -32,8 +32,7 @@ from labpipe.project.work import fits_of
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import RepeatSource
 from tests.estimation.conftest import FX, FY, X, Y, with_noise
-from tests.estimation.test_base_motion import LINES
-from tests.estimation.test_base_motion import response as of_base
+from tests.estimation.test_base_motion import LINES, response as of_base
 from tests.methods.floating_bearing.test_fit import drawn, settings_of
 from tests.methods.magnetic_bearing.levitated import COUPLED
 from tests.methods.magnetic_bearing.test_block import response as of_block

@@ -23,8 +23,7 @@ from labpipe.artefacts.writing import cell, text_of
 from labpipe.cli.main import main
 from labpipe.cli.output import LONGEST, message_line, printable
 from labpipe.errors import DataError
-from labpipe.raw_files import mat
-from labpipe.raw_files import table as probe
+from labpipe.raw_files import mat, table as probe
 from labpipe.raw_files.table import open_table
 from tests.conftest import Command
 from tests.project.laboratory import ALONE, contents, done, laboratory, recording

@@ -24,8 +24,7 @@ import pytest
 
 from labpipe.cli.main import run_command
 from labpipe.errors import DataError
-from labpipe.project.archive import contents as archived
-from labpipe.project.archive import write_archive
+from labpipe.project.archive import contents as archived, pack
 from labpipe.project.pipeline_file import load_pipeline
 from tests.conftest import Command
 from tests.hostile.mutations import mutated_bytes
@@ -69,7 +68,7 @@ def one(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     scratch = tmp_path_factory.mktemp("scratch")
     pipeline = load_pipeline(finished / "pipeline.yaml")
     packed = archived(finished / "out", pipeline, scratch, digests_only=True)
-    write_archive(packed, finished / "one.zip", "2026-11-03")
+    pack(packed, finished / "one.zip", "2026-11-03")
     content = (finished / "one.zip").read_bytes()
     (finished / "one.zip").unlink()
     return content
@@ -565,7 +564,7 @@ def test_a_file_that_changes_meanwhile_leaves_no_archive(
     (lab / "soft.csv").write_text(recording(18.1e3))
     before = contents(lab)
     with pytest.raises(DataError, match="changes while it is archived") as raised:
-        write_archive(packed, lab / "a.zip", "2026-11-03")
+        pack(packed, lab / "a.zip", "2026-11-03")
     assert raised.value.where == str(lab / "soft.csv") and contents(lab) == before
 
 

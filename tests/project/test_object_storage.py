@@ -17,8 +17,7 @@ from typing import Any
 import pytest
 from pyarrow import fs
 
-from labpipe.artefacts import mirrored
-from labpipe.artefacts import places as storage
+from labpipe.artefacts import mirrored, places as storage
 from labpipe.artefacts.parquet import header_of
 from tests.machine.s3_server import SECRET, s3_client, s3_server
 from tests.project.laboratory import PIPELINE, RIG, contents, recording

@@ -22,8 +22,7 @@ from labpipe.errors import DataError
 from labpipe.project import ingest as stage
 from labpipe.project.ingest import ingest, raw_recording
 from labpipe.project.rig_file import load_rig
-from labpipe.raw_files import other_tables as parquet_table
-from labpipe.raw_files import tdms_table
+from labpipe.raw_files import other_tables as parquet_table, tdms_table
 from tests.conftest import Command
 
 CHANNELS = """channels:

@@ -9,8 +9,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.project.rig_file import load_rig, move

@@ -15,8 +15,7 @@ from labpipe.project.executors import Work, in_processes, on_cluster, serially
 from labpipe.project.one_test import Done, Job, silent, work
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.run import Manner, independent_fits, measure_tests
-from labpipe.project.tests import ReadyFrf
-from labpipe.project.tests import Test as Measured
+from labpipe.project.tests import ReadyFrf, Test as Measured
 from labpipe.records.identification import Failed
 from tests.project.laboratory import (
     ALONE,

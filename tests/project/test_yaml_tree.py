@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.project.marked_yaml import Marked, parse_marked, set_entry

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from labpipe.methods.rotor.section import UnbalanceCase, UnbalanceRuns
 from labpipe.methods.run_ups.records import (

@@ -33,8 +33,7 @@ from labpipe.uncertainty.settings import (
 )
 from tests.methods.magnetic_bearing import certified, loop_cases
 from tests.uncertainty.conftest import a_fit
-from tests.uncertainty.test_theory import BENDING, PEAKS
-from tests.uncertainty.test_theory import measured as of_shaft
+from tests.uncertainty.test_theory import BENDING, PEAKS, measured as of_shaft
 
 # A walk over everything: it runs with the long tests.
 pytestmark = pytest.mark.long

@@ -20,8 +20,7 @@ from labpipe.project.rig_file import load_rig
 from tests.validation.held import Place, Stated
 from tests.validation.measured_page import BLOCKS, RIGS
 from tests.validation.peers import recorded
-from tests.validation.record_measured import RUNS, SETS, pipeline_of
-from tests.validation.record_measured import recorded as recorded_anew
+from tests.validation.record_measured import RUNS, SETS, pipeline_of, recorded as recorded_anew
 
 DATA = os.environ.get("LABPIPE_MEASURED", "")
 

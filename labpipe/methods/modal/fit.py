@@ -21,23 +21,11 @@ from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
-from labpipe.methods.modal import model_error
-from labpipe.methods.modal import poles as lscf
+from labpipe.methods.modal import model_error, poles as lscf
 from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, one_step
-from labpipe.methods.modal.moved import (
-    FEWEST_POINTS,
-    MovedMode,
-    aligned_measured,
-    alignment,
-    with_moved_modes,
-)
+from labpipe.methods.modal.moved import FEWEST_POINTS, MovedMode, add_moved_modes, aligned_measured, alignment
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
-from labpipe.methods.modal.whole_covariance import (
-    ModalEstimate,
-    ModalReceptance,
-    regular,
-    whole_covariance_fit,
-)
+from labpipe.methods.modal.whole_covariance import ModalEstimate, ModalReceptance, covariance_fit, regular
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -250,7 +238,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     if real := modal.shapes == "real":
         whole = lscf.with_real_modes(whole, correlation)
     terms = whole.terms
-    estimate = whole_covariance_fit(sides.measured, terms, whole.refined, real=real)
+    estimate = covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
@@ -276,7 +264,7 @@ def _at_mean_poles(
     if modal.poles:
         return sides, whole, (), ()
     moving = modal.moving_mass is not None
-    lines, whole, moved, loaded = with_moved_modes(sides.lines, whole, correlation, moving=moving)
+    lines, whole, moved, loaded = add_moved_modes(sides.lines, whole, correlation, moving=moving)
     return replace(sides, lines=lines, measured=aligned_measured(sides.measured, moved)), whole, moved, loaded
 
 

@@ -147,7 +147,7 @@ def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured
     return replace(measured, matrix=measured.matrix + alignment(1j * measured.omega, moved))
 
 
-def with_moved_modes(
+def add_moved_modes(
     lines: Lines, done: Completed, correlation: tuple[complex, ...], *, moving: bool
 ) -> tuple[Lines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     """The FRFs with every point moved to the mean pole of its mode, their modes, how these moved, and notes

@@ -165,7 +165,7 @@ def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArra
     return np.stack([first + second, 1j * (first - second)])
 
 
-def whole_covariance_fit(
+def covariance_fit(
     measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False
 ) -> ModalEstimate:
     """The refined modes again, with the covariance of the FRF as weight where there is one and the Jacobian

@@ -20,8 +20,7 @@ from labpipe.bearings.kinds import OperatingPoint
 from labpipe.document.render import DOCUMENTS
 from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
-from labpipe.methods.planning.campaigns import Multisines
-from labpipe.methods.planning.campaigns import Rig as LimitedRig
+from labpipe.methods.planning.campaigns import Multisines, Rig as LimitedRig
 from labpipe.methods.planning.model import AXES
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
 from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings

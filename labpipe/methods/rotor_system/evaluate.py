@@ -530,7 +530,7 @@ def _notes(posterior: SystemPosterior) -> Iterator[Finding]:
     untold = [
         unknown.name
         for unknown, share in zip(posterior.model.unknowns, posterior.shares, strict=True)
-        if share >= 0.7 and not unknown.group and not unknown.name.startswith(records.OF_SENSORS)
+        if share >= 0.7 and not unknown.group and not unknown.name.startswith(records.SENSORS)
     ]
     if untold:
         yield note("not-told-by-tests", f"no test tells {', '.join(untold)}")

@@ -9,7 +9,7 @@ from labpipe.arrays import FloatArray
 from labpipe.records.finding import Finding
 
 # How unknowns of sensors begin.
-OF_SENSORS = ("gain ", "phase ", "sensor ")
+SENSORS = ("gain ", "phase ", "sensor ")
 
 
 @dataclass(frozen=True)

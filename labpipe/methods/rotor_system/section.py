@@ -10,12 +10,7 @@ from labpipe.arrays import FloatArray
 from labpipe.display import amount_text, number, plain_text, with_error
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
-from labpipe.methods.rotor_system.records import (
-    OF_SENSORS,
-    CriticalResult,
-    RotorSystemResult,
-    VibrationResult,
-)
+from labpipe.methods.rotor_system.records import SENSORS, CriticalResult, RotorSystemResult, VibrationResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.project.judging import CompareNumber, compare_warnings
 from labpipe.project.rules import Rule
@@ -108,7 +103,7 @@ def lines(result: RotorSystemResult) -> Iterator[str]:
     """What the tests say together, in lines."""
     yield f"{result.rotor}: {len(result.tests)} tests together"
     for unknown in result.unknowns:
-        if not unknown.group and not unknown.name.startswith(OF_SENSORS):
+        if not unknown.group and not unknown.name.startswith(SENSORS):
             mark = "" if unknown.told else "   (no test tells)"
             yield f"  {unknown.name:<28} {_text(unknown.value, unknown.error, unknown.unit)}{mark}"
     yield from sentences(result)

@@ -11,8 +11,7 @@ import numpy as np
 from labpipe.errors import LabpipeError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.run_ups import records
-from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY
-from labpipe.methods.run_ups.joint import JointFit
+from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY, JointFit
 from labpipe.methods.run_ups.measured import ReadRun, column, measured_run
 from labpipe.methods.run_ups.metamodel_kinds import Extent, Grid, PhysicalFit, physical_without
 from labpipe.methods.run_ups.metamodels import METAMODELS, Metamodel, caution, leave_one_load_out

@@ -11,8 +11,7 @@ import pytest
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from tests.methods.journal_bearing.film_force import film_force
-from tests.validation.journal import WEAR_SPEED as SPEED
-from tests.validation.journal import WORN
+from tests.validation.journal import WEAR_SPEED as SPEED, WORN
 
 
 def bearing(depth: float, angle: float) -> JournalBearing:

@@ -47,8 +47,7 @@ from labpipe.records.recording import Channel
 from labpipe.report.document import Document, Paragraph, Section
 from labpipe.spectra.settings import FrfSettings
 from tests.conftest import Command, Ended
-from tests.draws.stops import RATE as TURNS_RATE
-from tests.draws.stops import RIGS, SOUND, TRUTH
+from tests.draws.stops import RATE as TURNS_RATE, RIGS, SOUND, TRUTH
 
 RATE, N, SKIPPED = 1000.0, 1000, 1
 STIFFNESS, DAMPING, MASS = 80e3, 6.0, 0.5

@@ -11,8 +11,12 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, goodness, identifiability_findings
-from labpipe.methods.magnetic_bearing.loop_fit import loop_fit as fit_of_all
+from labpipe.methods.magnetic_bearing.loop_fit import (
+    LoopFit,
+    goodness,
+    identifiability_findings,
+    loop_fit as fit_of_all,
+)
 from labpipe.methods.magnetic_bearing.loop_problem import View, unknown, with_unknowns
 from tests.methods.magnetic_bearing.loop_cases import bearing, measured
 

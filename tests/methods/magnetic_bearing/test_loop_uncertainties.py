@@ -45,8 +45,7 @@ from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
-from tests.methods.magnetic_bearing.certified import FILE, UNKNOWNS
-from tests.methods.magnetic_bearing.certified import response as of_signals
+from tests.methods.magnetic_bearing.certified import FILE, UNKNOWNS, response as of_signals
 from tests.methods.magnetic_bearing.loop_cases import SUPPORT, bearing, measured
 from tests.methods.magnetic_bearing.test_certificate import OWN
 
