@@ -50,8 +50,8 @@ def covariance_by_neighbours(
     """cov vec G (n_line, n, n) [unit^2 of H] of G = *matrix* (n_line, n_output, n_input) at *frequency*
     (n_line,) [Hz]. *vectors* (n_line, n_input + n_output, n_run) [SI], forces first, with G = Y pinv(U);
     *noise*: their covariance in every run, (n_line, n_channel, n_channel) [SI]. *gap*: neighbours next to the
-    line that share its noise, which are left out. A line far beside
-    that of its neighbours counts by itself. Equation (frf-neighbours).
+    line that share its noise, which are left out. A line far beside what its neighbours say counts by
+    itself. Equation (frf-neighbours).
     """
     there = _from_neighbours(frequency, matrix, gap)
     covariance = _covariance_of(there, vectors, noise)

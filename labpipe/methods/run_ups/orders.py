@@ -163,6 +163,7 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> chart.Pan
 
 
 def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
+    """Amplitudes without the slow roll over speed, critical speeds with intervals, operating speeds."""
     unit, factor = _unit(quantity)
     series: list[chart.Series] = []
     for number, label in enumerate(verdict.probes):
@@ -283,6 +284,7 @@ def run_up_table(
 
 
 def write_run_up(table: RunUp, path: Path) -> str:
+    """Write a run-up table, complete or absent; what is in it, in words."""
     with output_file(path) as target:
         write_run_up_csv(target, table)
     text = f"{path}, {table.n_speed} speeds"
@@ -291,6 +293,7 @@ def write_run_up(table: RunUp, path: Path) -> str:
 
 
 def order_lines(run: TrackedRun) -> Iterator[str]:
+    """The largest amplitudes, and orbits against the gap."""
     unit, factor = _unit(run.quantity)
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):
@@ -469,6 +472,7 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
 
 
 def judgement_lines(verdict: Judgement, quantity: str) -> Iterator[str]:
+    """Slow roll, critical speeds with their margins and decisions, sensitivities."""
     unit, factor = _unit(quantity)
     if verdict.slow_roll is not None:
         for label, vector in zip(verdict.probes, verdict.slow_roll, strict=True):
