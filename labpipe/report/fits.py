@@ -138,10 +138,11 @@ def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
 def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:
     if of_points(fits[0].model):
         return fits[0].name, _calibration(fits)
-    return wording.fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else _single(fits[0])
+    return wording.fit_title(fits[0]), _sliding(fits) if len(fits) > 1 else single_fit_blocks(fits[0])
 
 
-def _single(fit: Fit) -> tuple[Block, ...]:
+def single_fit_blocks(fit: Fit) -> tuple[Block, ...]:
+    """The section of a fit that stands by itself: parameters, budget, what to know of them, figures."""
     rows = tuple(wording.parameter_row(parameter, fit.dof) for parameter in fit.parameters)
     return (
         Paragraph(_description(fit)),

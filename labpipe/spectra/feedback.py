@@ -248,7 +248,7 @@ def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
     coarse = coarse / np.maximum(np.max(coarse, axis=0), np.finfo(float).tiny)
     coherence = np.add.reduceat(_largest_coherence(u, y), edges[:-1]) / np.diff(edges)
     bands = []
-    lower, upper = _edges_of(coarse, coherence)
+    lower, upper = edges_of(coarse, coherence)
     for dark in (DARK, DIM):
         lit = np.all(coarse > dark, axis=1)
         lit[:lower], lit[upper:] = False, False
@@ -258,8 +258,10 @@ def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
     return [band for band in bands if band[1] > LEAST_SHARE * bands[0][1]]
 
 
-def _edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
-    """First of the coarse bands, and first above, between cliffs in the power of a force."""
+def edges_of(coarse: FloatArray, coherence: FloatArray) -> tuple[int, int]:
+    """First of the *coarse* bands (n_band, n_input) [1] of a *coherence* (n_band,) [1], and first above,
+    between cliffs in the power of a force.
+    """
     first, last = 0, coarse.shape[0]
     here = np.arange(last)[:, None]
     other = here.T

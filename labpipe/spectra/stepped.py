@@ -145,7 +145,7 @@ def settle_time(courses: Sequence[Course]) -> float:
         raise DataError(what, hint="longer dwells; or state `settle`")
     end = float(edges[np.searchsorted(edges, time[last - 1], side="right")])
     tau = _time_constant(time[:last], excess[:last])
-    wanted = min(_allowance(course, tau) for course in courses)
+    wanted = min(transient_allowance(course, tau) for course in courses)
     return end + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
 
 
@@ -176,7 +176,7 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
     return max(shortest, -2.0 / float(slope)) if slope < 0 else float(time[-1])
 
 
-def _allowance(course: Course, tau: float) -> float:
+def transient_allowance(course: Course, tau: float) -> float:
     """Largest (a / s)^2 at the start that leaves LEFT standard errors in the mean of n blocks."""
     n = course.times.size
     step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)

@@ -18,7 +18,7 @@ from labpipe.project.simulate import load_virtual_rig
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.simulate.virtual_rigs import recordings
-from labpipe.spectra.feedback import COHERENT, LEVEL, _edges_of, chance_of_order, chance_of_phase
+from labpipe.spectra.feedback import COHERENT, LEVEL, chance_of_order, chance_of_phase, edges_of
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -294,6 +294,6 @@ def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(
     """
     inside = (np.arange(40) >= 10) & (np.arange(40) < 30)
     coarse = np.where(inside, 1.0, 0.01)[:, None]
-    assert _edges_of(coarse, np.where(inside, 1.0, beyond)) == edges
+    assert edges_of(coarse, np.where(inside, 1.0, beyond)) == edges
     # A slope that falls by less than to a tenth within a quarter of the frequency is no cliff.
-    assert _edges_of((np.maximum(np.arange(40), 1) / 40.0)[:, None] ** 2, np.full(40, 0.2)) == (0, 40)
+    assert edges_of((np.maximum(np.arange(40), 1) / 40.0)[:, None] ** 2, np.full(40, 0.2)) == (0, 40)

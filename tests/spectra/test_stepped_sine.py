@@ -13,7 +13,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, MaskSettings
-from labpipe.spectra.stepped import LEFT, _allowance, frequency_variance, sine_frequency
+from labpipe.spectra.stepped import LEFT, frequency_variance, sine_frequency, transient_allowance
 from labpipe.spectra.sweeps import find_dwells
 from tests.spectra.stepped_oscillator import CHANNELS, POLE, RATE, STEPS, motion, receptance, record
 
@@ -202,7 +202,7 @@ def test_a_decay_may_leave_a_share_of_a_standard_error_in_the_mean(tau: float, b
     """a exp(-t / tau) over n blocks of 1 s adds a tau / n to their mean, a / n where it is gone within one,
     beside its standard error s / n^.5.
     """
-    largest = np.sqrt(_allowance(SimpleNamespace(times=np.arange(40.0)), tau))
+    largest = np.sqrt(transient_allowance(SimpleNamespace(times=np.arange(40.0)), tau))
     assert largest * blocks / 40 == pytest.approx(LEFT / 40**0.5)
 
 

@@ -14,7 +14,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.rolling_bearing import ratio as ratio_module
 from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, sdof_stiffness, transfer_matrix
-from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, _solve, log_covariance, match, overlay
+from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, log_covariance, match, overlay, solve_ratio
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.uncertain import Uncertain
 from tests.uncertainty.conftest import a_fit
@@ -163,11 +163,11 @@ def test_what_cannot_be_compared_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_root_further_away_than_twenty_steps_of_one_is_none() -> None:
     """In logarithms: ratios up to e^20. A straight line is solved in steps of one, and a last one."""
     slopes = np.array([[1.0, 0.5], [0.0, 2.0]])
-    root, found = _solve(lambda u: slopes @ u, slopes @ np.array([-17.5, 3.0]), np.zeros(2))
+    root, found = solve_ratio(lambda u: slopes @ u, slopes @ np.array([-17.5, 3.0]), np.zeros(2))
     np.testing.assert_allclose(root, [-17.5, 3.0], atol=1e-9)
     np.testing.assert_allclose(found, slopes, atol=1e-9)
     with pytest.raises(FitError, match="no multiple of the theory's stiffness"):
-        _solve(lambda u: slopes @ u, slopes @ np.array([-25.0, 3.0]), np.zeros(2))
+        solve_ratio(lambda u: slopes @ u, slopes @ np.array([-25.0, 3.0]), np.zeros(2))
 
 
 def test_an_uncertain_number_of_the_bearing_file_moves_the_ratio() -> None:

@@ -278,7 +278,7 @@ def coefficients(fitted: FittedStiffness, vifs: FloatArray) -> tuple[Valued, ...
     names, covariances = model.names[: model.n_linear], (fitted.noise, fitted.whole)
     plain = plain_values(names, model.units, fitted.values, covariances, fitted.dof, vifs)
     shaped = [_shape(fitted, number, float(vifs[model.n_linear + number])) for number in range(model.n_shape)]
-    return (*plain, *shaped, *(_tie(valued) for valued in plain if model.symmetry == "seal"))
+    return (*plain, *shaped, *(tied_element(valued) for valued in plain if model.symmetry == "seal"))
 
 
 def plain_values(
@@ -319,7 +319,7 @@ def _finite(low: float, high: float) -> tuple[float, float] | None:
     return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
 
 
-def _tie(valued: Valued) -> Valued:
+def tied_element(valued: Valued) -> Valued:
     """That which a seal's symmetry ties to an element: yy to xx, yx with the other sign to xy."""
     parameter = valued.parameter
     parts = [{"xx": "yy", "xy": "yx"}.get(part, part) for part in parameter.name.split("_")]

@@ -210,7 +210,7 @@ def stabilisation(equations: NormalEquations, band: tuple[float, float], highest
     parts = [_inside(equations.poles(order), band) for order in orders]
     poles = Poles(*(np.concatenate(of) for of in zip(*(vars(part).values() for part in parts), strict=True)))
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
-    group = _groups(poles, counted)
+    group = pole_groups(poles, counted)
     modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
     return Diagram(poles, group, modes, counted)
 
@@ -255,8 +255,11 @@ def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> Bo
     )
 
 
-def _groups(poles: Poles, counted: list[int]) -> IntArray:
-    """The pole with neighbours in most orders takes them out, until none returns in enough orders."""
+def pole_groups(poles: Poles, counted: list[int]) -> IntArray:
+    """Number (n_pole,) [1] of the mode that each pole returns as in the orders *counted*, -1 for none.
+
+    The pole with neighbours in most orders takes them out, until none returns in enough orders.
+    """
     group = np.full(poles.values.size, -1)
     near = _near(poles, poles.values, poles.participation)
     position = {order: n for n, order in enumerate(counted)}

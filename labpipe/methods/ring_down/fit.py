@@ -266,7 +266,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         joined, places = repeated.joined, repeated.places
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
-    _check_fitted(pieces, joined)
+    check_fitted(pieces, joined)
     fitted, jump = _Fitted(decays, columns, pieces, joined), None
     if repeated is None and min(fitted.tested.amplitude, fitted.tested.white) < MISMATCH_P:
         jump = amplitude_law.jump_of(decays, columns, joined, settings.band)
@@ -312,7 +312,7 @@ def _check(settings: FitSettings, each: bool) -> None:
         raise SettingError("repeat_groups", what, "leave it out")
 
 
-def _check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
+def check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed) -> None:
     """FitError for few degrees of freedom, and for a mode that noise explains. A free damping finds more than
     the largest line, as if there were MORE_LINES times as many.
     """

@@ -464,10 +464,11 @@ def judge(pieces: Sequence[Piece], fitted: Decayed, rate: float) -> Judged:
     line, strongest = _strongest_line(list(zip(pieces, series, strict=True)), rate)
     alike = portmanteau(series, all(piece.lines is None for piece in pieces))
     white = min(1.0, 2 * min(alike, line))
-    return Judged(_next_terms(rows, fitted.poles), white, strongest, _ending(series))
+    return Judged(_next_terms(rows, fitted.poles), white, strongest, ending_of(series))
 
 
-def _ending(residuals: Sequence[ComplexArray]) -> float:
+def ending_of(residuals: Sequence[ComplexArray]) -> float:
+    """Power of the last third of *residuals*, each (n_sample, n) [1], over that of the first [1]."""
     squares = np.zeros(3)
     for series in residuals:
         thirds = np.array_split(series / np.std(series, axis=0), 3)

@@ -129,7 +129,7 @@ def match(
 
     measured = _logarithms(fit)
     start = np.array([0.0, measured[1] - measured[0]])
-    log, slopes = _solve(lambda u: fitted(u, theory.stiffness), measured, start)
+    log, slopes = solve_ratio(lambda u: fitted(u, theory.stiffness), measured, start)
     inverse = np.linalg.inv(slopes)
     solution = fitted(log, theory.stiffness)
     to_bending = np.zeros(2)
@@ -146,9 +146,12 @@ def match(
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
 
-def _solve(
+def solve_ratio(
     function: Callable[[FloatArray], FloatArray], target: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
+    """ln ratio and ln beta u (2,) [1] at which *function* is the *target* (2,) [1], and its slopes (2, 2) [1]
+    there; from *start*, by Newton. FitError where there are none.
+    """
     u, slopes, size = start, np.eye(2), np.inf
     for _ in range(LOOPS):
         here = function(u)

@@ -309,7 +309,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: Ru
 def solve_joint(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
     method = joint_method("joint", "(c) joint physical fit", fit)
-    return Solved(method, _joint_at(fit), anywhere=fit)
+    return Solved(method, joint_at(fit), anywhere=fit)
 
 
 def solve_process(
@@ -326,7 +326,7 @@ def solve_process(
         remarks=(f"{fit.statement}.",),
         **_of_fit(fit),
     )
-    return Solved(method, _joint_at(fit), anywhere=fit)
+    return Solved(method, joint_at(fit), anywhere=fit)
 
 
 def joint_method(name: str, title: str, fit: JointFit) -> records.RunUpMethod:
@@ -391,7 +391,9 @@ def with_sources_of(fit: JointFit, parameter: Parameter, combined: float) -> Par
     )
 
 
-def _joint_at(fit: JointFit | ProcessFit) -> Predictor:
+def joint_at(fit: JointFit | ProcessFit) -> Predictor:
+    """Predictions by a joint fit at any load and speed, without intervals where chi-square rejects it."""
+
     def at(run_rig: RunUpRotor, run: records.RunUp) -> AtLoad:
         run_fit = replace(fit, rig=run_rig)
         eight, error = fit.coefficients(run.load, run.speed)

@@ -298,7 +298,7 @@ class LinearData:
         eight, slopes = problem.model.coefficients_and_slopes(values, places[:, 0], places[:, 1])
         by_family = slopes[..., :n] / eight[..., None]
         now = np.log(problem.model.factors(values, places[:, 0], places[:, 1])) + by_family @ values[:n]
-        rows = _rows_by_place(problem, values, eight)
+        rows = rows_by_place(problem, values, eight)
         normal = np.array([row.T @ row for _, row in rows])
         side = np.array(
             [row.T @ (row @ here - residual) for (residual, row), here in zip(rows, now, strict=True)]
@@ -324,9 +324,12 @@ class LinearData:
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
 
 
-def _rows_by_place(
+def rows_by_place(
     problem: Problem[ProcessFamily], values: FloatArray, eight: FloatArray
 ) -> list[tuple[FloatArray, FloatArray]]:
+    """Residuals (n,) [1] of every place, and their slopes (n, 8) [1] by the logarithms of its coefficients
+    *eight* (n_place, 8) [SI]; *values* (n_parameter,) of the family.
+    """
     rows, first = [], 0
     field = problem.model.field
     for test in problem.tests:

@@ -180,7 +180,7 @@ def _with_findings(
     result: records.RunUpResult, reasons: Sequence[str], read: Sequence[ReadRun]
 ) -> records.RunUpResult:
     findings = [
-        *(finding for method in result.methods for finding in _uncertainties(method, result.runs)),
+        *(finding for method in result.methods for finding in fit_findings(method, result.runs)),
         *(note("no-critical-speed", reason) for reason in reasons),
         *(
             note("residual", f"{item.run.name}: '{item.settings.subtract}' is subtracted")
@@ -192,7 +192,8 @@ def _with_findings(
     return replace(result, findings=tuple(findings))
 
 
-def _uncertainties(method: records.RunUpMethod, runs: Sequence[records.MeasuredRun]) -> list[Finding]:
+def fit_findings(method: records.RunUpMethod, runs: Sequence[records.MeasuredRun]) -> list[Finding]:
+    """What is to be known of a fit to run-ups: what the data leave open, a misfit, bounds."""
     findings = []
     if method.verdict == "not determined":
         told = f"the data determine {method.rank} of {method.unknowns} coefficients at a point"

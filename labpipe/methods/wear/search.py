@@ -257,11 +257,11 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
     point (their spread cancels). Equation (wear-healthy).
     """
     gain = healthy_chi2 - best.chi2
-    share = _peak_share(misfit, best) if gain > NARROW else _mean_likelihood(misfit, best)
+    share = peak_share(misfit, best) if gain > NARROW else _mean_likelihood(misfit, best)
     return float(np.exp(-gain / 2) / (np.exp(-gain / 2) + share))
 
 
-def _peak_share(misfit: Misfit, best: Minimum) -> float:
+def peak_share(misfit: Misfit, best: Minimum) -> float:
     """Of one narrow peak: 2 pi sqrt(det cov) over the area."""
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
     spread = np.linalg.det(covariance_of(misfit, best)[:2, :2])

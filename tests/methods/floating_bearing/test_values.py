@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.methods.floating_bearing.values import Valued, _tie
+from labpipe.methods.floating_bearing.values import Valued, tied_element
 from labpipe.records.finding import Parameter
 
 
@@ -15,7 +15,7 @@ def test_a_seal_has_equal_direct_and_opposite_cross_terms() -> None:
     """
     slopes = np.array([0.0, 2.0, -1.0])
     plain = Parameter("k_xx", 5.0, "N/m", std_error=1.0, t_ratio=5.0, ci95=(3.0, 7.0))
-    direct = _tie(Valued(plain, slopes))
+    direct = tied_element(Valued(plain, slopes))
     assert (
         direct.parameter.name,
         direct.parameter.value,
@@ -23,7 +23,7 @@ def test_a_seal_has_equal_direct_and_opposite_cross_terms() -> None:
         direct.parameter.t_ratio,
     ) == ("k_yy", 5.0, (3.0, 7.0), 5.0)
     np.testing.assert_array_equal(direct.slopes, slopes)
-    cross = _tie(
+    cross = tied_element(
         Valued(Parameter("k_p_xy_2", 5.0, "N/m", std_error=1.0, t_ratio=5.0, ci95=(3.0, 7.0)), slopes)
     )
     assert (cross.parameter.name, cross.parameter.value, cross.parameter.ci95) == (

@@ -24,7 +24,7 @@ from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report.document import Figure
-from labpipe.report.fits import _single
+from labpipe.report.fits import single_fit_blocks
 from tests.methods.modal.structures import (
     BEAM_DAMPING,
     BEAM_FREQUENCIES,
@@ -255,7 +255,7 @@ def test_result_is_read_back_and_reported() -> None:
     least = int(np.argmin(modes.returns))
     (caption,) = (b.caption for b in blocks if isinstance(b, Figure) and "stable poles" in b.caption)
     assert f"Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz" in caption
-    assert len(blocks) == 4 and len(_single(fit)) > len(blocks)
+    assert len(blocks) == 4 and len(single_fit_blocks(fit)) > len(blocks)
     # A mode whose model error moves what is stated of it has one frequency in the report.
     first = next(n for n, parameter in enumerate(fit.parameters) if parameter.name == "f_n_1")
     moved = replace(fit.parameters[first], value=1.01 * fit.parameters[first].value)

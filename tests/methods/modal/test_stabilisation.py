@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.methods.modal.poles import SHARE_OF_DECAY, SHARE_OF_FREQUENCY, Diagram, Poles, _groups
+from labpipe.methods.modal.poles import SHARE_OF_DECAY, SHARE_OF_FREQUENCY, Diagram, Poles, pole_groups
 
 
 def test_a_pole_between_two_modes_stays_with_the_stronger_one() -> None:
@@ -18,7 +18,7 @@ def test_a_pole_between_two_modes_stays_with_the_stronger_one() -> None:
     values = np.array([first] * 5 + [between] + [second] * 4)
     orders = np.array([2, 4, 6, 8, 10, 10, 2, 4, 6, 8])
     poles, counted = Poles(values, np.ones((10, 1), np.complex128), orders), [2, 4, 6, 8, 10]
-    group = _groups(poles, counted)
+    group = pole_groups(poles, counted)
     assert group.tolist() == [0] * 6 + [1] * 4
     # The shares of the orders in which they return; the pole between stands for the first and the second.
     shares = Diagram(poles, group, poles, counted).returns(np.array([first, second]), np.ones((2, 1)))
@@ -28,5 +28,5 @@ def test_a_pole_between_two_modes_stays_with_the_stronger_one() -> None:
 def test_poles_of_one_frequency_and_another_participation_are_two_modes() -> None:
     values = np.full(4, -1.0 + 100j)
     participation = np.array([[1, 0], [1, 0], [0, 1], [0, 1]], np.complex128)
-    group = _groups(Poles(values, participation, np.array([2, 4, 2, 4])), [2, 4])
+    group = pole_groups(Poles(values, participation, np.array([2, 4, 2, 4])), [2, 4])
     assert group[0] == group[1] != group[2] == group[3] and min(group) == 0

@@ -19,7 +19,7 @@ from labpipe.artefacts.measured_files import read_decays, write_decays
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.ring_down.fit import DecaySettings, _check_fitted
+from labpipe.methods.ring_down.fit import DecaySettings, check_fitted
 from labpipe.methods.ring_down.likelihood import energies, maximum_likelihood, noise_chance, pieces_of
 from labpipe.methods.ring_down.report import over_amplitude_figure
 from labpipe.records.fit_details import RingDown
@@ -341,7 +341,7 @@ def test_what_noise_gives_several_decays_together_is_no_mode() -> None:
     (energy,), rows = energies(pieces, found), sum(piece.rows.size for piece in pieces)
     assert noise_chance(pieces, found) == pytest.approx([rows * stats.chi2.sf(energy, 12)], rel=1e-9)
     with pytest.raises(FitError, match="what would be a mode at"):
-        _check_fitted(pieces, found)
+        check_fitted(pieces, found)
 
 
 def test_a_decay_without_noise_is_its_own_truth() -> None:

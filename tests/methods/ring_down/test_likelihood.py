@@ -12,7 +12,7 @@ from labpipe.errors import FitError
 from labpipe.methods.ring_down.fit import mode_parameters
 from labpipe.methods.ring_down.likelihood import (
     Judged,
-    _ending,
+    ending_of,
     maximum_likelihood,
     most_likely,
     pencil_poles,
@@ -172,7 +172,7 @@ def test_a_residual_goes_on_where_its_end_is_as_large_as_its_beginning() -> None
     """
     sign = np.tile([1.0, -1.0], 50)
     grows = np.concatenate([1 * sign, 2 * sign, 3 * sign])[:, None].astype(complex)
-    assert _ending([grows]) == pytest.approx(9) and _ending([1e-6 * grows[::-1]]) == pytest.approx(1 / 9)
-    assert _ending([grows, 1e3 * grows[::-1]]) == pytest.approx(1)
+    assert ending_of([grows]) == pytest.approx(9) and ending_of([1e-6 * grows[::-1]]) == pytest.approx(1 / 9)
+    assert ending_of([grows, 1e3 * grows[::-1]]) == pytest.approx(1)
     plain = Judged(amplitude=1.0, white=1.0, strongest=0.0, ending=0.0)
     assert [replace(plain, ending=size).goes_on for size in (0.1, 9.0)] == [False, True]

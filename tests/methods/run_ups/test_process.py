@@ -26,9 +26,9 @@ from labpipe.methods.run_ups.process import (
     ProcessFit,
     SmoothField,
     SquaredExponential,
-    _rows_by_place,
     fit_with_process,
     places_of,
+    rows_by_place,
 )
 from labpipe.methods.run_ups.rotor import PRIOR, FilmFamily, as_eight, as_matrices, coefficient_errors
 from labpipe.methods.run_ups.virtual_rig import true_coefficients
@@ -132,7 +132,7 @@ def test_the_marginal_likelihood_is_that_of_a_normal_distribution() -> None:
     values = np.zeros(12 + 8 * problem.model.field.n_mode)
     data = LinearData.at(problem, values, places)
     eight = problem.model.coefficients(values, places[:, 0], places[:, 1])
-    rows = _rows_by_place(problem, values, eight)
+    rows = rows_by_place(problem, values, eight)
     n, m = len(rows), rows[0][1].shape[0]
     slopes = np.zeros((n * m, n * 8))
     for number, (_, row) in enumerate(rows):
@@ -164,7 +164,7 @@ def test_slopes_of_a_threshold_by_the_coefficients_equal_differences() -> None:
     threshold = MeasuredThreshold(RIG, load, Uncertain(speed, 0.5))
     problem = dataclasses.replace(problem, model=family, tests=(*problem.tests, threshold))
     values = np.zeros(12 + 8 * family.field.n_mode)
-    residual, row = _rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[
+    residual, row = rows_by_place(problem, values, family.coefficients(values, places[:, 0], places[:, 1]))[
         -1
     ]
     at_load = family.at_load(values, load)

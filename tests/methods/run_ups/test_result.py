@@ -10,11 +10,11 @@ import pytest
 
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import ReadRun
-from labpipe.methods.run_ups.methods import _joint_at, excited_as, joint_method, predict
+from labpipe.methods.run_ups.methods import excited_as, joint_at, joint_method, predict
 from labpipe.methods.run_ups.process import fit_with_process
 from labpipe.methods.run_ups.records import HELD_OUT, MeasuredRun, RunPrediction, RunUp, RunUpMethod
 from labpipe.methods.run_ups.report import speed_blocks
-from labpipe.methods.run_ups.result import _uncertainties, run_up_result
+from labpipe.methods.run_ups.result import fit_findings, run_up_result
 from labpipe.methods.run_ups.section import run_up_lines
 from labpipe.methods.run_ups.settings import RunSettings, RunUpSettings
 from labpipe.records.finding import Parameter
@@ -36,7 +36,7 @@ def test_a_fit_that_is_not_rejected_has_intervals(joint: JointFit, runs: list[Ru
     assert not joint.rejected
     method = joint_method("joint", "joint", joint)
     assert all(parameter.std_error is not None for parameter in method.parameters if not parameter.at_bound)
-    prediction = predict(RIG, runs[0], _joint_at(joint)(RIG, runs[0]), "", curves=False)
+    prediction = predict(RIG, runs[0], joint_at(joint)(RIG, runs[0]), "", curves=False)
     assert prediction.critical_speed is not None and prediction.critical_speed.ci95 is not None
 
 
@@ -49,7 +49,7 @@ def test_a_rejected_fit_has_values_and_no_interval(joint: JointFit, runs: list[R
     method = joint_method("joint", "joint", rejected)
     assert method.verdict == "rejected"
     assert all(parameter.std_error is None and parameter.ci95 is None for parameter in method.parameters)
-    prediction = predict(RIG, runs[0], _joint_at(rejected)(RIG, runs[0]), "", curves=False)
+    prediction = predict(RIG, runs[0], joint_at(rejected)(RIG, runs[0]), "", curves=False)
     speeds = (prediction.critical_speed, prediction.threshold)
     assert all(speed is not None and speed.std_error is None and speed.ci95 is None for speed in speeds)
     assert any("no interval is given" in note for note in prediction.notes)
@@ -57,7 +57,7 @@ def test_a_rejected_fit_has_values_and_no_interval(joint: JointFit, runs: list[R
         "chi-square rejects the fit: critical speed, threshold and coefficients are values without an "
         "interval"
     ) in prediction.notes
-    trusted = predict(RIG, runs[0], _joint_at(joint)(RIG, runs[0]), "", curves=False)
+    trusted = predict(RIG, runs[0], joint_at(joint)(RIG, runs[0]), "", curves=False)
     assert prediction.critical_speed.value == pytest.approx(trusted.critical_speed.value, rel=1e-9)
 
 
@@ -98,7 +98,7 @@ def test_a_rejected_fit_with_factors_says_so_at_every_load(joint: JointFit, runs
     rejected = replace(process)
     rejected.__dict__["chi2"] = 1e3 * process.n_datum
     for fit, said in ((rejected, True), (process, False)):
-        prediction = predict(RIG, runs[0], _joint_at(fit)(RIG, runs[0]), "", curves=False)
+        prediction = predict(RIG, runs[0], joint_at(fit)(RIG, runs[0]), "", curves=False)
         assert any("values without an interval" in note for note in prediction.notes) is said
         assert prediction.threshold is not None and (prediction.threshold.ci95 is None) is said
 
@@ -130,7 +130,7 @@ def test_a_rotor_file_without_unbalances_takes_those_of_the_run_ups(runs: list[R
 )
 def test_what_a_method_cannot_state_is_a_finding(change: dict[str, object], codes: list[str]) -> None:
     plain = RunUpMethod("points", "Point by point", "not rejected", predictions=(), chi2_per_datum=3.456)
-    findings = _uncertainties(replace(plain, **change), ())
+    findings = fit_findings(replace(plain, **change), ())
     assert [finding.code for finding in findings] == codes
     said = {
         "rejected": "chi² per datum is 3.46: the bearing is not of the fitted family, and no interval is",
@@ -149,4 +149,4 @@ def test_only_a_load_beyond_the_fit_is_extrapolated() -> None:
     for note, codes in (("no threshold below 6 Hz", []), ("9 N lies outside the loads", ["extrapolated"])):
         prediction = RunPrediction("held", None, None, notes=(note,))
         method = RunUpMethod("joint", "(c)", "not rejected", predictions=(prediction,))
-        assert [finding.code for finding in _uncertainties(method, [run])] == codes
+        assert [finding.code for finding in fit_findings(method, [run])] == codes

@@ -15,13 +15,13 @@ from labpipe.errors import FitError
 from labpipe.methods.wear.model import Misfit, WornModel
 from labpipe.methods.wear.search import (
     Minimum,
-    _peak_share,
     descend,
     healthy_minimum,
     healthy_probability,
     joint_region,
     merge,
     minima,
+    peak_share,
     profile_distance,
     profile_interval,
     refine,
@@ -217,4 +217,4 @@ def test_both_ways_to_the_probability_agree_where_they_meet(noisy: tuple[Misfit,
         np.exp(-(profile_distance(misfit, best, {0: place[0], 1: place[1]}) ** 2) / 2) for place in places
     ]
     mean = np.sum(likelihood) * (0.5**2 * np.prod(errors)) / (50 * 40)
-    assert _peak_share(misfit, best) == pytest.approx(mean, rel=0.15)
+    assert peak_share(misfit, best) == pytest.approx(mean, rel=0.15)
