@@ -237,16 +237,16 @@ def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ..
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, float] | None) -> Fit:
-    own: MagnetSettings = settings.model_settings
+    magnets: MagnetSettings = settings.model_settings
     mass: FloatArray | float = settings.mass if isinstance(settings.mass, float) else np.array(settings.mass)
     if np.ndim(mass) == 1:
         mass = np.diag(mass)
-    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, own)
-    if own.hold is not None and rotor.omega[-1] > np.pi * own.hold:
+    rotor = balance.levitation_of(spectra, band, (settings.input, settings.output), mass, magnets)
+    if magnets.hold is not None and rotor.omega[-1] > np.pi * magnets.hold:
         what = f"lines up to {rotor.omega[-1] / (2 * np.pi):g} Hz are beyond half of `hold`"
         raise SettingError("hold", what, "hold is the rate of the recording")
-    between = None if own.hold is None else balance.Between(own.hold, own.amplifier_bandwidth)
-    coupling, damping = own.coupling, own.passive_damping
+    between = None if magnets.hold is None else balance.Between(magnets.hold, magnets.amplifier_bandwidth)
+    coupling, damping = magnets.coupling, magnets.passive_damping
     model = balance.magnet_model(rotor.labels, rotor.bearing, rotor.mass, coupling, damping, between)
     best = likelihood.magnet_estimate(rotor, model, _uncertainties_of_mass(rotor, settings, mass))
     error = magnet_error(rotor, best)
@@ -266,7 +266,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *spectra.findings,
     )
     curve = draw(rotor, best)
-    dof, confidence = spectra.covariance_dof, own.band_confidence
+    dof, confidence = spectra.covariance_dof, magnets.band_confidence
     return replace(
         fit,
         findings=findings,
@@ -282,8 +282,8 @@ def _uncertainties_of_mass(
     rotor: balance.Levitation, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
-    own: MagnetSettings = settings.model_settings
-    of_mass, inertia = dict(settings.uncertainties).get("mass"), own.inertia
+    magnets: MagnetSettings = settings.model_settings
+    of_mass, inertia = dict(settings.uncertainties).get("mass"), magnets.inertia
     given: list[tuple[Uncertainty, FloatArray]] = []
 
     def add(name: str, number: Uncertain, unit: str, larger: float, with_larger: MagnetSettings) -> None:
@@ -294,10 +294,10 @@ def _uncertainties_of_mass(
     if not isinstance(mass, float):
         return given
     if of_mass is not None and of_mass.std_error > 0:
-        add("mass of the rotor", of_mass, "kg", mass + of_mass.std_error, own)
+        add("mass of the rotor", of_mass, "kg", mass + of_mass.std_error, magnets)
     if inertia is not None and inertia.std_error > 0:
         larger = Uncertain(inertia.value + inertia.std_error)
-        add("moment of inertia", inertia, "kg.m^2", mass, replace(own, inertia=larger))
+        add("moment of inertia", inertia, "kg.m^2", mass, replace(magnets, inertia=larger))
     return given
 
 

@@ -152,7 +152,7 @@ class _Sums:
     """
 
     gram: FloatArray
-    data: FloatArray
+    products: FloatArray
     size: FloatArray
 
 
@@ -239,7 +239,7 @@ class _State:
         columns = _shape_columns(self.participation)[:, :, chosen]
         single = columns.swapaxes(1, 2) @ self.sums.gram[:k, :k] @ columns
         normal = np.tensordot(1 / self.variance, single, 1)
-        right_side = np.sum((self.sums.data[:k] / self.variance).transpose(2, 1, 0) @ columns, axis=0)
+        right_side = np.sum((self.sums.products[:k] / self.variance).transpose(2, 1, 0) @ columns, axis=0)
         scale = np.sqrt(np.einsum("omm->om", normal))
         scales = scale[:, :, None] * scale[:, None, :]
         try:
@@ -254,7 +254,7 @@ class _State:
     def _rss(self, psi: ComplexArray) -> FloatArray:
         coefficients, sums = _coefficients(self.participation, psi), self.sums
         k = coefficients.shape[-1]
-        fitted = np.einsum("oif,foi->oi", coefficients, sums.data[:k])
+        fitted = np.einsum("oif,foi->oi", coefficients, sums.products[:k])
         square = np.sum(coefficients * (coefficients @ sums.gram[:k, :k]), axis=-1)
         return np.maximum(sums.size - 2 * fitted + square, 1e-15 * sums.size)
 
@@ -279,7 +279,7 @@ class _State:
         weighted = weight * np.matmul(gram, by_theta)
         d = by_theta.reshape(-1, n).T @ weighted.reshape(-1, n)
         b = np.sum(np.matmul(of_shapes.swapaxes(1, 2), weighted[:, :, :k]), axis=1)
-        residual = self.sums.data.transpose(1, 2, 0) - _coefficients(self.participation, psi) @ gram[:k]
+        residual = self.sums.products.transpose(1, 2, 0) - _coefficients(self.participation, psi) @ gram[:k]
         gradient = by_theta.reshape(-1, n).T @ (weight[..., 0] * residual).ravel()
         eliminated = inverse @ b
         return d - b.reshape(-1, n).T @ eliminated.reshape(-1, n), gradient, inverse, eliminated, psi
@@ -425,8 +425,8 @@ def _sums(terms: ResidualTerms, poles: ComplexArray) -> _Sums:
     functions = terms.without(_functions(lines, poles))
     gram = (functions.conj().T @ functions).real
     flat = terms.remainder.reshape(lines.omega.size, -1)
-    data = (functions.conj().T @ flat).real.reshape(-1, *lines.matrix.shape[1:])
-    return _Sums(gram, data, terms.size)
+    products = (functions.conj().T @ flat).real.reshape(-1, *lines.matrix.shape[1:])
+    return _Sums(gram, products, terms.size)
 
 
 def _shape_columns(participation: ComplexArray) -> FloatArray:

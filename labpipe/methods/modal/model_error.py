@@ -69,8 +69,8 @@ def shape_errors(refined: Refined) -> FloatArray:
     points have; that of poles and participation is common to all outputs, the rest is each one's own.
     """
     by_poles = refined.crossed @ pseudo_inverse(refined.covariance)
-    own = refined.shape_covariance - by_poles @ refined.crossed.swapaxes(1, 2)
-    alone = np.einsum("omm->om", own)
+    by_output = refined.shape_covariance - by_poles @ refined.crossed.swapaxes(1, 2)
+    alone = np.einsum("omm->om", by_output)
     alone = alone[:, 0::2] + alone[:, 1::2]
     common = by_poles[:, 0::2] + 1j * by_poles[:, 1::2]
     largest, modes = np.argmax(np.abs(refined.shapes), axis=0), np.arange(refined.poles.size)
@@ -385,14 +385,14 @@ def with_model_errors(
 
 @dataclass(frozen=True)
 class _Band:
-    """A mode's lines without what the other modes make of them: frequency (n_line,) [Hz], data and std
+    """A mode's lines without what the other modes make of them: frequency (n_line,) [Hz], frf and std
     (n_line, n_output, n_input) [m/N], *columns* (n_output, n_input, n): residues of the mode and of its
     neighbours, the mode first.
     """
 
     pole: complex
     frequency: FloatArray
-    data: ComplexArray
+    frf: ComplexArray
     std: FloatArray
     columns: ComplexArray
 
@@ -424,18 +424,18 @@ class _Band:
         return cls(pole, frequency[near], measured.matrix[near] - others, std, columns)
 
     def curve(self, outputs: slice) -> Curve:
-        data, std = (part[:, outputs].reshape(self.frequency.size, -1) for part in (self.data, self.std))
+        frf, std = (part[:, outputs].reshape(self.frequency.size, -1) for part in (self.frf, self.std))
         # As many modes as these FRFs can tell apart.
-        columns = self.columns[outputs].reshape(data.shape[1], -1)[:, : max(data.shape[1] // 2, 1)]
+        columns = self.columns[outputs].reshape(frf.shape[1], -1)[:, : max(frf.shape[1] // 2, 1)]
         weight = 1 / np.sqrt(np.mean(std**2, axis=0))
         filters = np.linalg.pinv(columns * weight[:, None])[0] * weight
-        return Curve(self.frequency, data @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
+        return Curve(self.frequency, frf @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
 
     def points(self) -> tuple[list[int], FloatArray, FloatArray]:
         """Points that see the mode, (ln f_n, ln zeta) of each (n, 2) and their errors by noise (n, 2) [1]."""
         seen, values, errors = [], [], []
         zeta = -self.pole.real / abs(self.pole)
-        for output in range(self.data.shape[1]):
+        for output in range(self.frf.shape[1]):
             try:
                 fit = _ordinary(self.curve(slice(output, output + 1)), self.pole)
                 error = np.sqrt(np.diag(fit.covariance)[:2])

@@ -170,9 +170,9 @@ def add_moved_modes(
     findings = tuple(mode.finding for _, mode in merging)
     merged = {number for chain, _ in merging for number in chain}
     for number in set(range(refined.poles.size)) - merged:
-        s, data = _alone(lines, refined, [number])
+        s, frfs = _alone(lines, refined, [number])
         if s.size >= FEWEST_LINES:
-            merging.append(([number], _by_points(s, data, refined.poles[[number]])[0]))
+            merging.append(([number], _by_points(s, frfs, refined.poles[[number]])[0]))
             merged.add(number)
     moved = tuple(mode for _, mode in merging)
     rest = np.setdiff1d(np.arange(refined.poles.size), list(merged))
@@ -208,10 +208,10 @@ def _chains(refined: Refined) -> list[list[int]]:
 def _move(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
     if len(chain) < 2:
         return []
-    s, data = _alone(lines, refined, chain)
+    s, frfs = _alone(lines, refined, chain)
     if s.size < FEWEST_LINES:
         return []
-    mode = _one_mode(s, data, refined.poles[chain])
+    mode = _one_mode(s, frfs, refined.poles[chain])
     if mode is not None and not mode.instead:
         return [(chain, mode)]
     middle = len(chain) // 2
@@ -236,24 +236,24 @@ def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArr
     s = lines.s[chosen]
     residues = np.einsum("om,mi->moi", refined.shapes[:, others], refined.participation[others])
     (a, b), _ = pole_functions(s, refined.poles[others], hysteretic=False)
-    data = lines.matrix[chosen] / (s**lines.power)[:, None, None]
-    return s, data - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
+    frfs = lines.matrix[chosen] / (s**lines.power)[:, None, None]
+    return s, frfs - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
 
 
-def _solve(s: ComplexArray, data: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Residues (n_pole, n) and what poles with a constant and a slope leave of *data* (n_line, n)."""
+def _solve(s: ComplexArray, frfs: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Residues (n_pole, n) and what poles with a constant and a slope leave of *frfs* (n_line, n)."""
     x = np.linspace(-1, 1, s.size)
     columns = np.column_stack([1 / (s[:, None] - poles), np.ones_like(x), x])
-    amounts = np.linalg.lstsq(columns, data, rcond=None)[0]
-    return amounts[: poles.size], data - columns @ amounts
+    amounts = np.linalg.lstsq(columns, frfs, rcond=None)[0]
+    return amounts[: poles.size], frfs - columns @ amounts
 
 
 def _squares(left: ComplexArray) -> FloatArray:
     return np.asarray(np.maximum(np.sum(np.abs(left) ** 2, axis=0), np.finfo(float).tiny))
 
 
-def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexArray:
-    """The poles (n_pole,) [rad/s] common to *data* (n_line, n) of least 2 n_line mean ln(squares)."""
+def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexArray:
+    """The poles (n_pole,) [rad/s] common to *frfs* (n_line, n) of least 2 n_line mean ln(squares)."""
     unit = float(np.median(-start.real))
 
     def poles(moves: FloatArray) -> ComplexArray:
@@ -263,32 +263,32 @@ def _best(s: ComplexArray, data: ComplexArray, start: ComplexArray) -> ComplexAr
     def cost(moves: FloatArray) -> tuple[float, FloatArray]:
         """With its slopes: what is left is orthogonal to the columns, so amounts need not move with poles."""
         now = poles(moves)
-        amounts, left = _solve(s, data, now)
+        amounts, left = _solve(s, frfs, now)
         squares = _squares(left)
         turned = np.einsum("lp,ln,pn,n->p", (s[:, None] - now) ** -2, left.conj(), amounts, 1 / squares)
         slopes = -2 * np.concatenate([(turned * now.real).real, (1j * unit * turned).real])
-        scale = 2 * s.size / data.shape[1]
+        scale = 2 * s.size / frfs.shape[1]
         return scale * float(np.sum(np.log(squares))), scale * slopes
 
     best = scipy.optimize.minimize(cost, np.zeros(2 * start.size), jac=True, method="L-BFGS-B")
     return poles(best.x)
 
 
-def _by_points(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
+def _by_points(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
-    point_poles = [_best(s, data[:, point], start) for point in range(data.shape[1])]
-    solved = [_solve(s, data[:, point], pole) for point, pole in enumerate(point_poles)]
+    point_poles = [_best(s, frfs[:, point], start) for point in range(frfs.shape[1])]
+    solved = [_solve(s, frfs[:, point], pole) for point, pole in enumerate(point_poles)]
     mode = MovedMode(np.array(point_poles)[:, 0], np.array([amounts[0] for amounts, _ in solved]))
     return mode, np.array([_squares(left) for _, left in solved])
 
 
-def _one_mode(s: ComplexArray, data: ComplexArray, chain: ComplexArray) -> MovedMode | None:
+def _one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> MovedMode | None:
     """The chain as one mode with a pole per point, *instead* of two where one reference cannot tell, or None
     where it is two.
     """
-    n_line, n_point, n_reference = data.shape
-    moved, squares = _by_points(s, data, chain)
-    flat, n_entry = data.reshape(n_line, -1), n_point * n_reference
+    n_line, n_point, n_reference = frfs.shape
+    moved, squares = _by_points(s, frfs, chain)
+    flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
     pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
     amounts, left = _solve(s, flat, pair)
     difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))

@@ -209,8 +209,8 @@ def critical_speeds(
     speeds = np.log([peak.speed for peak in distinct])
     # A peak of a draw is the same one where it is nearer to it than to any other.
     rooms = [min([*(abs(at - other) / 2 for other in speeds if other != at), AROUND]) for at in speeds]
-    found = zip(distinct, rooms, strict=True)
-    criticals = (_critical(reduced, built, peak, draws, operating, room) for peak, room in found)
+    pairs = zip(distinct, rooms, strict=True)
+    criticals = (_critical(reduced, built, peak, draws, operating, room) for peak, room in pairs)
     return sorted(criticals, key=lambda critical: critical.speed)
 
 
@@ -229,7 +229,7 @@ def _critical(
     whole = [row for row in there if row.amplification is not None]
     factors = np.array([row.amplification for row in whole], dtype=float)
     margins = [row.margin(operating) for row in whole] if operating else []
-    asked = [margin for margin in margins if margin is not None and margin[1] > 0]
+    required = [margin for margin in margins if margin is not None and margin[1] > 0]
     return records.CriticalResult(
         _place(peak.node),
         peak.speed,
@@ -239,7 +239,7 @@ def _critical(
         peak.amplitude,
         _interval(peak.amplitude, np.array([row.amplitude for row in there])),
         peak.margin(operating) if operating else None,
-        float(np.mean([m is None or m[0] >= m[1] for m in margins])) if asked else None,
+        float(np.mean([m is None or m[0] >= m[1] for m in margins])) if required else None,
         1 - len(whole) / len(rows),
     )
 
@@ -317,8 +317,8 @@ def _over_speed(
     test: RunUpVectors,
     weights: ComplexArray,
 ) -> records.VibrationResult:
-    asked, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
-    speed = np.linspace(0.5 * min(asked), max(1.1 * max(asked), operating), SPEEDS)
+    rated, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
+    speed = np.linspace(0.5 * min(rated), max(1.1 * max(rated), operating), SPEEDS)
     wide = replace(test, speed=2 * np.pi * speed)
     drawn = drawn_influence(built, wide, posterior.draws(LOOKED, settings.seed))
     drawn = drawn.reshape(LOOKED, SPEEDS, -1, drawn.shape[-1])
