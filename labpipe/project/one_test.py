@@ -337,8 +337,8 @@ def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tup
     stored = []
     for source, name in zip(job.test.recordings, job.names, strict=True):
         tell(f"ingest    {source.path.name}")
-        where = (output, f"recordings/{name}", job.folder)
-        stored.append(ingest(source.path, source.rig, *where, source.joined, source.by))
+        goal = f"recordings/{name}"
+        stored.append(ingest(source.path, source.rig, output, goal, job.folder, source.joined, source.by))
     if stored:
         if job.frf is None:
             raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")

@@ -271,12 +271,12 @@ def _at_mean_poles(
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     if settings.damping == VISCOUS:
         return False
-    for written, given in (("shapes: real", modal.shapes == "real"), ("moving_mass", modal.moving_mass)):
-        if given:
-            key, what = (
-                written.split(":")[0],
-                f"'{written}' cannot be combined with {settings.damping} damping",
-            )
+    for key, written, is_set in (
+        ("shapes", "shapes: real", modal.shapes == "real"),
+        ("moving_mass", "moving_mass", modal.moving_mass is not None),
+    ):
+        if is_set:
+            what = f"'{written}' cannot be combined with {settings.damping} damping"
             raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
     return True
 

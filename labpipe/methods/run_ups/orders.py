@@ -194,8 +194,12 @@ def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
 Column = tuple[str, FloatArray]
 
 
-# The radial gap of the bearings [m], and the limit of a motion as a share of it.
-Clearance = tuple[float, float]
+@dataclass(frozen=True)
+class Clearance:
+    """The radial *gap* of the bearings [m], and the *limit* of a motion as a share of it."""
+
+    gap: float
+    limit: float
 
 
 @dataclass(frozen=True)
@@ -259,7 +263,8 @@ def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFold
         place = f"-{stems[plane.name]}" if plane.name else ""
         figures[f"orbits{place}.svg"] = orbit_series_figure(run.name, circles, run.quantity)
     if run.clearance:
-        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, *run.clearance)
+        gap, limit = run.clearance.gap, run.clearance.limit
+        figures["gap.svg"] = gap_figure(run.name, run.track, run.circles, gap, limit)
     entries = {}
     if verdict is not None:
         entries["judgement.json"] = json.dumps(judgement_entry(verdict, run.quantity), indent=1) + "\n"
@@ -305,7 +310,7 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
             yield line
     if run.clearance is None:
         return
-    gap, share = run.clearance
+    gap, share = run.clearance.gap, run.clearance.limit
     limit = f"{100 * share:g} %"
     for number, plane in enumerate(run.track.planes):
         orbit = run.track.orbit[:, number]
@@ -348,7 +353,7 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
         "centreline_y": circles.mean[:, 1],
     }
     if clearance is not None:
-        columns["orbit_per_gap"] = whole / clearance[0]
+        columns["orbit_per_gap"] = whole / clearance.gap
     return [(plane.labelled(name), values) for name, values in columns.items()]
 
 
@@ -463,7 +468,7 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
         (plane,) = circles.planes
         x, y = circles.mean[last] - circles.mean[first]
         moved = float(np.hypot(x, y))
-        share = f", {100 * moved / run.clearance[0]:.3g} % of the gap" if run.clearance else ""
+        share = f", {100 * moved / run.clearance.gap:.3g} % of the gap" if run.clearance else ""
         yield (
             f"{plane.name:<8} centreline moved by {factor * moved:.4g} {unit} at "
             f"{np.degrees(np.arctan2(y, x)):.0f} deg from {run.speeds[first]:.4g} to "
@@ -548,7 +553,7 @@ def _clearance(gap: str | None, limit: str | None) -> Clearance | None:
     share = LIMIT if share is None else share
     if not (length > 0 and share > 0):
         raise ConfigError("--gap and --limit must be positive")
-    return length, share
+    return Clearance(length, share)
 
 
 def _value(option: str, text: str | None, unit: str) -> float | None:
