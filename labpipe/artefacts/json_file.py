@@ -173,14 +173,6 @@ LONGEST_SECOND = 30
 _DIGEST_LINE = re.compile(rb'^"digest": "([0-9a-f]{64})",?\n', re.MULTILINE)
 
 
-def write_json(path: Path, entries: dict[str, Any]) -> None:
-    """Write the entries as UTF-8, one line for each entry and for each item of a list.
-
-    The same bytes for the same entries.
-    """
-    path.write_bytes(_content(entries))
-
-
 def write_digested(path: Path, entries: dict[str, Any]) -> None:
     """Write the entries with the digest of the file without it as the second one."""
     texts = _texts(entries)
@@ -210,7 +202,7 @@ def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
     """The digest of the content, then that of the entries written again."""
     yield hashlib.sha256(_DIGEST_LINE.sub(b"", content, count=1)).hexdigest()
     others = {key: entry for key, entry in entries.items() if key != DIGEST}
-    yield hashlib.sha256(_content(others)).hexdigest()
+    yield hashlib.sha256(json_bytes(others)).hexdigest()
 
 
 def read_bytes(path: Path) -> bytes:
@@ -247,7 +239,8 @@ def _under_new_names(entries: dict[str, Any]) -> dict[str, Any]:
     return {NAMES_BEFORE.get(name, name): entry for name, entry in entries.items()}
 
 
-def _content(entries: dict[str, Any]) -> bytes:
+def json_bytes(entries: dict[str, Any]) -> bytes:
+    """The entries as UTF-8, one line for each and for each item of a list; always the same bytes."""
     return _join(_texts(entries))
 
 

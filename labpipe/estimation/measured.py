@@ -17,6 +17,7 @@ from labpipe.records.response import (
     HeldCovariance,
     Port,
     StoredCovariance,
+    variance_of,
 )
 from labpipe.records.uncertain import COURSES, MatrixError, Uncertainty
 from labpipe.registry import nearest
@@ -71,12 +72,7 @@ class Measured:
     @property
     def variance(self) -> FloatArray | None:
         """E|H - E H|^2 of every element, (n_line, n) [m^2/N^2], or None, of the covariance as it is held."""
-        covariance = self.stored_covariance
-        if covariance is None:
-            return None
-        if isinstance(covariance, np.ndarray):
-            return np.asarray(np.einsum("lii->li", covariance).real)
-        return covariance.variance.reshape(self.omega.size, -1)
+        return variance_of(self.stored_covariance)
 
     def plus_offset(self, receptance: ComplexArray) -> ComplexArray:
         """What a sensor shows of a *receptance* (n_line, n_output, n_input) [m/N] of the model."""

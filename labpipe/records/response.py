@@ -153,6 +153,13 @@ class BlockCovariance:
 StoredCovariance = ComplexArray | FactoredCovariance | BlockCovariance | None
 
 
+def variance_of(covariance: StoredCovariance) -> FloatArray | None:
+    """E|H - E H|^2 of every element of vec(H), (n_line, n) [unit^2 of H], or None where nothing is known."""
+    if isinstance(covariance, np.ndarray):
+        return np.asarray(np.einsum("lii->li", covariance).real)
+    return None if covariance is None else covariance.variance.reshape(covariance.shape[:2])
+
+
 class HeldCovariance:
     """An attribute that is given as a whole array (n_line, n, n), in parts, or as None, and read as an array,
     which is made once.
@@ -385,12 +392,8 @@ class FrequencyResponse:
     @property
     def variance(self) -> FloatArray | None:
         """E|H - E H|^2 per element, (n_frequency, n_output, n_input) [unit^2 of H], or None."""
-        covariance = self.stored_covariance
-        if covariance is None:
-            return None
-        if isinstance(covariance, FactoredCovariance | BlockCovariance):
-            return covariance.variance.reshape(self.matrix.shape)
-        return np.asarray(np.einsum("fii->fi", covariance).real.reshape(self.matrix.shape))
+        variance = variance_of(self.stored_covariance)
+        return None if variance is None else variance.reshape(self.matrix.shape)
 
     def covariance_of(self, p: int, q: int) -> ComplexArray:
         """The covariance of elements *p* and *q* of vec(H), row-major, (n_frequency,) [unit^2 of H].

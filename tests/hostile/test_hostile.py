@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from labpipe.artefacts.json_file import write_json
+from labpipe.artefacts.json_file import json_bytes
 from labpipe.artefacts.writing import cell, text_of
 from labpipe.cli.main import main
 from labpipe.cli.output import LONGEST, message_line, printable
@@ -86,7 +86,7 @@ def test_an_impossible_unit_in_a_condition_of_a_list_is_refused(
     lab: Path, labpipe: Command, result: dict
 ) -> None:
     result["responses"][0]["conditions"] = {"length": "3 km"}
-    write_json(lab / "identification.json", result)
+    (lab / "identification.json").write_bytes(json_bytes(result))
     for unit in ("km^999", "kg^(1/0)"):
         refused(labpipe("list", lab, "--where", f"length > 3 {unit}"), "no unit has the exponent")
 
@@ -145,14 +145,11 @@ def test_unusual_numbers_give_a_result_or_a_message(
     assert ended.code in (0, 1, 2) and "Traceback" not in ended.err
 
 
-def test_numbers_of_numpy_are_written_as_numbers(tmp_path: Path) -> None:
-    write_json(
-        tmp_path / "a.json",
-        {"a": np.bool_(True), "b": [np.float64(2.5), np.int64(3)], "c": {"d": np.float32(np.nan)}},
-    )
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": True, "b": [2.5, 3], "c": {"d": None}}
+def test_numbers_of_numpy_are_written_as_numbers() -> None:
+    entries = {"a": np.bool_(True), "b": [np.float64(2.5), np.int64(3)], "c": {"d": np.float32(np.nan)}}
+    assert json.loads(json_bytes(entries)) == {"a": True, "b": [2.5, 3], "c": {"d": None}}
     with pytest.raises(TypeError, match="a set has no place in JSON"):
-        write_json(tmp_path / "a.json", {"a": {1}})
+        json_bytes({"a": {1}})
 
 
 def test_a_long_block_is_held_against_the_recording_first(lab: Path, labpipe: Command) -> None:
