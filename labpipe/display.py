@@ -20,6 +20,8 @@ NOT_DETERMINED = "not determined"
 USUAL = (0.1, 1e4)
 # Sizes that are written without a power of ten.
 WITHOUT_POWER = (1e-4, 1e6)
+# Smallest p-value that is written: rounding of the sums behind it is as large.
+LEAST_CHANCE = 1e-15
 # Units of one dimension, the smallest first.
 LADDERS = {
     **PREFIXED,
@@ -44,6 +46,13 @@ def shown_unit(si_unit: str, *sizes: float | None) -> str:
 def unit_label(unit: str) -> str:
     """The unit behind a number; a plain number has none."""
     return "" if unit == "1" else unit
+
+
+def chance_text(p_value: float | None) -> str:
+    """A p-value, or that it is smaller than any that is written."""
+    if p_value is None:
+        return "p unknown"
+    return f"p < {LEAST_CHANCE:g}" if p_value < LEAST_CHANCE else f"p = {p_value:.2g}"
 
 
 def difference_in(amount: float, unit: str) -> float:

@@ -13,14 +13,14 @@ from labpipe.artefacts.mirrored import results_read
 from labpipe.artefacts.writing import show as shown_path, write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
-from labpipe.display import difference_in, shown_unit, unit_label, with_error, written
+from labpipe.display import chance_text, difference_in, shown_unit, unit_label, with_error, written
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project import catalogue_search
-from labpipe.project.catalogue import DATE, Filter, ResultRow, ValueRow, name_of
+from labpipe.project.catalogue import BESIDE, DATE, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, listed_parameters
-from labpipe.registry import nearest
+from labpipe.registry import listed, nearest
 
 
 @click.command(name="list")
@@ -58,8 +58,9 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
 def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
     """A row with one column per condition, as written in the pipeline."""
     entry = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
-    conditions = entry.pop("conditions", {})
-    entry.pop("amounts", None)
+    conditions = entry.get("conditions", {})
+    for name in BESIDE:
+        entry.pop(name, None)
     return {**entry, **{f"condition:{name}": text for name, text in conditions.items()}}
 
 
@@ -153,6 +154,9 @@ def _echo_series(series: catalogue_search.Series) -> None:
         rows.append((place, *cells, row.label, row.date, mark))
     header = (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", "")
     echo_table(header, rows, right=(1, 2))
+    if series.copies:
+        which = listed(list(dict.fromkeys(f"{row.label} of {name_of(row.path)}" for row in series.copies)))
+        echo(f"  left out, since a recording counts once: {which}")
     echo(f"  {_slope(series)}")
     if series.over == DATE:
         echo(f"  {_control(series)}")
@@ -176,7 +180,7 @@ def _slope(series: catalogue_search.Series) -> str:
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
     stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %)"
-    return for_terminal(f"{stated}: {verdict}, p = {p_value:.2g}{scatter}")
+    return for_terminal(f"{stated}: {verdict}, {chance_text(p_value)}{scatter}")
 
 
 def _control(series: catalogue_search.Series) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.display import amount_text, change_text, difference_in, shown_unit
+from labpipe.display import amount_text, chance_text, change_text, difference_in, shown_unit
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.derived import Estimated, correct
@@ -211,7 +211,7 @@ def _message(
             f"{_amount(before.value(changed), 'N/m')}."
         )
     return (
-        f"the data contradict the given mass by more than {100 * TOLERANCE:g} % (p = {p_value:.2g}): "
+        f"the data contradict the given mass by more than {100 * TOLERANCE:g} % ({chance_text(p_value)}): "
         f"{masses}.{becomes} Either the mass or the calibration is wrong, or stiffness changes with "
         "frequency in the band. Weigh what moves, calibrate, fit with `mass: estimate`, or narrow the band"
     )
@@ -448,10 +448,10 @@ def drift_findings(
     else:
         text = _of_parameters(jacobian, model, values, change, chance)
     message = (
-        f"the second half of the record differs from the first (p = {p_value:.2g}): {text}. An even drift is "
-        "twice that from the beginning to the end. The parameters are means over a changing rig, and their "
-        "standard errors do not hold. Wait until temperature and amplifiers have settled, or record in "
-        "shorter pieces"
+        f"the second half of the record differs from the first ({chance_text(p_value)}): {text}. An even "
+        "drift is twice that from the beginning to the end. The parameters are means over a changing rig, "
+        "and their standard errors do not hold. Wait until temperature and amplifiers have settled, or "
+        "record in shorter pieces"
     )
     return [Finding("drift", message)]
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.estimation.derived import is_direct, modes
 from labpipe.estimation.estimators import Estimator
 from labpipe.estimation.measured import Measured
@@ -265,7 +266,7 @@ def excess_text(reduced: float | None, p_value: float | None) -> str:
     assert reduced is not None
     return (
         f"the residual is {np.sqrt(reduced):.3g} times what the measured noise explains (chi-square per "
-        f"degree of freedom {reduced:.3g}, p = {p_value:.2g})"
+        f"degree of freedom {reduced:.3g}, {chance_text(p_value)})"
     )
 
 

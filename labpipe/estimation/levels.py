@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.display import change_text
+from labpipe.display import chance_text, change_text
 from labpipe.distributions import chi2_tail
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import Finding, Parameter
@@ -78,8 +78,8 @@ def _difference(low: _Test, high: _Test) -> str:
     listed = " and ".join(f"{kind} by {text}" for kind, text in changes)
     return (
         f"between {low_text} (test {low_fit.test}) and {high_text} (this test) {listed or 'the parameters'} "
-        f"changed on the whole (p = {p_value:.2g}): the rig is not linear, and the coefficients hold for "
-        "their level only. Measure at the level of use, or lower it until nothing changes"
+        f"changed on the whole ({chance_text(p_value)}): the rig is not linear, and the coefficients hold "
+        "for their level only. Measure at the level of use, or lower it until nothing changes"
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.display import chance_text
 from labpipe.errors import FitError
 from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
@@ -330,7 +331,7 @@ def _wording(best: _Minimum) -> str:
     if best.structure is None:
         return excess_text(best.assessed.reduced, best.p_value)
     said, p_value = best.structure.said, best.p_value
-    return f"the residual is not noise: {said} (p = {p_value:.2g} for noise under the same fit)"
+    return f"the residual is not noise: {said} ({chance_text(p_value)} for noise under the same fit)"
 
 
 def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:

@@ -39,7 +39,8 @@ DATE = "date"
 _TABLES = """
 CREATE TABLE result (
     id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT,
-    version TEXT, date TEXT, tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER
+    version TEXT, date TEXT, tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER,
+    sources TEXT
 );
 CREATE TABLE value (
     id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
@@ -159,6 +160,7 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "dataset": int(identification.dataset is not None),
         "verdict": verdict(identification),
         "warnings": ", ".join(sorted(_all_codes(identification))),
+        "sources": " ".join(identification.recorded),
     }
     rows = [("result", entry)]
     for listed in listed_parameters(identification):
@@ -275,7 +277,8 @@ class ResultRow:
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
     """One parameter of one fit [SI]; *conditions* of its test, *amounts* of the numeric ones. random_error:
-    without what given numbers add; changes: by each of these, as JSON.
+    without what given numbers add; changes: by each of these, as JSON. recorded: digests of the files behind
+    it.
     """
 
     path: str
@@ -298,6 +301,7 @@ class ValueRow:
     warnings: str
     conditions: dict[str, str]
     amounts: dict[str, tuple[float, str]]
+    recorded: frozenset[str] = frozenset()
 
     @property
     def label(self) -> str:
@@ -315,9 +319,9 @@ class ValueRow:
         return f"{self.low_hz:g}-{self.high_hz:g} Hz" if self.high_hz > self.low_hz else ""
 
 
-VALUE_COLUMNS = tuple(
-    field.name for field in dataclasses.fields(ValueRow) if field.name not in ("conditions", "amounts")
-)
+# What a value has beside its columns.
+BESIDE = ("conditions", "amounts", "recorded")
+VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in BESIDE)
 
 # Columns of which no result lacks the number, though it may not be one.
 NUMBERS = ("value", "low_hz", "high_hz")
@@ -342,18 +346,19 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
             clauses.append(f"v.{column} {_AMONG}")
             bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
-    sql = f"SELECT {columns}, r.id FROM value v JOIN result r ON r.id = v.result"
+    sql = f"SELECT {columns}, r.sources, r.id FROM value v JOIN result r ON r.id = v.result"
     rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound)
     of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
-    for *row, number in rows:
+    for *row, sources, number in rows:
         # SQLite has no not-a-number.
         named = zip(VALUE_COLUMNS, row, strict=True)
         entries: dict[str, Any] = {
             name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
         }
         conditions, amounts = of_test(number, entries["test"])
-        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts))
+        recorded = frozenset(sources.split())
+        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts, recorded=recorded))
     return value_rows
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import datetime
 import functools
+import itertools
 import json
 import sqlite3
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,7 +43,7 @@ from labpipe.project.catalogue import (
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import nearest
-from labpipe.uncertainty.amounts import joint_errors, matrix_of
+from labpipe.uncertainty.amounts import counted_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
 
@@ -90,7 +91,7 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
     """The rows with a value of the rigs and days asked for."""
-    columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
+    columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN} | {"source"}
     chosen = (part for part in dataset_file.parts(folder) if _may_hold(part, criteria))
     tables = [dataset_file.read_part(part, columns) for part in chosen]
     if not tables:
@@ -140,6 +141,7 @@ def value_row(
         changes=json.dumps(dict(row["changes"])),
         conditions=texts,
         amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
+        recorded=frozenset(filter(None, [row.get("source")])),
     )
 
 
@@ -291,7 +293,9 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Series:
-    """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, ascending."""
+    """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, ascending. copies:
+    values of the same recordings as *rows*, which count once.
+    """
 
     fit: str
     parameter: str
@@ -299,6 +303,7 @@ class Series:
     condition_unit: str
     condition: FloatArray
     rows: tuple[ValueRow, ...]
+    copies: tuple[ValueRow, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -366,7 +371,11 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
         condition, unit = [row.amounts[over][0] for row in rows], units[0]
     pairs = sorted(zip(condition, rows, strict=True), key=lambda pair: (pair[0], pair[1].date, pair[1].path))
     places, of_rows = zip(*pairs, strict=True)
-    return Series(fit, parameter, over, unit, np.array(places), of_rows)
+    values, errors = np.array([(row.value, row.std_error) for row in of_rows], np.float64).T
+    counted = counted_once(values, errors, [row.recorded for row in of_rows])
+    copies = tuple(row for row, counts in zip(of_rows, counted, strict=True) if not counts)
+    once = tuple(itertools.compress(of_rows, counted))
+    return Series(fit, parameter, over, unit, np.array(places)[counted], once, copies)
 
 
 def _day(row: ValueRow) -> datetime.date | None:

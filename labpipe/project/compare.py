@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from labpipe.project.work import COMPARE_PREFIX, Work
 from labpipe.quantities import UnitError, name_of_dimension, parse_unit, parse_value
 from labpipe.raw_files.table import open_table
 from labpipe.records.comparison import (
+    Comparison,
     Comparisons,
     ConditionMatrices,
     ConditionMatrix,
@@ -50,20 +51,44 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
         spectra=tuple(work.spectra),
         folder=work.pipeline.path.parent,
     )
-    return _each(settings, COMPARE_PREFIX, work, lambda comparison: compare(comparison, evidence))
+
+    def tests_of(comparison: Comparison) -> Iterable[str]:
+        return (point.test for point in comparison.points)
+
+    return _each(settings, COMPARE_PREFIX, work, lambda entry: compare(entry, evidence), tests_of)
 
 
-def _each(settings: Sequence[Any], prefix: str, work: Work, make: Callable[[Any], Any]) -> tuple[Any, ...]:
+def _each(
+    settings: Sequence[Any],
+    prefix: str,
+    work: Work,
+    make: Callable[[Any], Any],
+    tests_of: Callable[[Any], Iterable[str]],
+) -> tuple[Any, ...]:
     records = []
     for entry in settings:
         try:
-            records.append(make(entry))
+            record = make(entry)
+            _check_copies(dict.fromkeys(tests_of(record)), work)
+            records.append(record)
         except LabpipeError as error:
             error.where = error.where or f"{work.pipeline.path}: {prefix}{entry.name}"
             if not work.failed:
                 raise
             work.failed.append(Failed(prefix + entry.name, str(error)))
     return tuple(records)
+
+
+def _check_copies(tests: Iterable[str], work: Work) -> None:
+    """ConfigError for two tests of the same recordings, with the same values: they are one measurement."""
+    first: dict[Any, str] = {}
+    for test in tests:
+        of_test = (fit for fit in work.fits if fit.test == test)
+        values = tuple((fit.name, p.name, p.value, p.std_error) for fit in of_test for p in fit.parameters)
+        other = first.setdefault((work.recorded.get(test, test), values), test)
+        if other != test:
+            what = f"the tests '{other}' and '{test}' are of the same recordings"
+            raise ConfigError(what, hint="a recording counts once; leave one of them out")
 
 
 MATRIX_PREFIX = "matrix."
@@ -80,7 +105,10 @@ def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMat
         theory = point_theory(entry, work.pipeline.folder)
         return condition_matrix(entry, work.fits, work.conditions, theory)
 
-    return _each(settings, MATRIX_PREFIX, work, matrix)
+    def tests_of(matrix: ConditionMatrix) -> Iterable[str]:
+        return (test for point in matrix.points for test in point.tests)
+
+    return _each(settings, MATRIX_PREFIX, work, matrix, tests_of)
 
 
 def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
+from dataclasses import dataclass, field
 from typing import Any
 
 from labpipe import __version__
@@ -29,35 +29,54 @@ from labpipe.records.sections import section
 BASIS = ("sources", "inputs", "settings", "rig", "version", "code")
 
 
+@dataclass(frozen=True)
+class Measured:
+    """What came of all *tests*, and the files behind it: *recorded* of each by its digests, *sources* of all;
+    *fits* made on the way, tests that *failed*. inputs: digests of what was measured, by which a change of a
+    rig or recording reaches the result.
+    """
+
+    tests: tuple[MeasuredTest, ...] = ()
+    sources: tuple[SourceRef, ...] = ()
+    recorded: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    fits: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
+    failed: tuple[Failed, ...] = ()
+    inputs: tuple[SourceRef, ...] = ()
+
+
 def identify_stage(
     pipeline: Pipeline,
-    tests: Sequence[MeasuredTest],
-    sources: Sequence[SourceRef],
+    measured: Measured,
     output: OutputFolder,
     tell: Callable[[str], None] = lambda _: None,
     jobs: int = 0,
-    test_fits: Mapping[str, Sequence[Fit]] = MappingProxyType({}),
-    failed: Sequence[Failed] = (),
-    inputs: Sequence[SourceRef] = (),
 ) -> Identification:
     """The identification of all tests and sections, made unless the one on disk is fresh. *jobs*: processes
-    of the study, 0 for one per processor. *test_fits*: those made already. *failed*: missing tests. *inputs*:
-    digests of what was measured, by which a change of a rig or recording reaches the result.
+    of the study, 0 for one per processor.
     """
     basis = Identification(
         fits=(),
-        sources=tuple(dataclasses.asdict(source) for source in sources),
-        settings=settings_entry(pipeline, tests),
+        sources=tuple(dataclasses.asdict(source) for source in measured.sources),
+        settings=settings_entry(pipeline, measured.tests),
         rig=rig_entry(pipeline),
         version=__version__,
-        failed=tuple(failed),
-        inputs=tuple(dataclasses.asdict(reference) for reference in inputs),
+        failed=measured.failed,
+        inputs=tuple(dataclasses.asdict(reference) for reference in measured.inputs),
         code=code_digest(),
     )
     existing = _existing(output)
     if existing is not None and _same_work(existing, basis):
         return existing
-    work = Work(pipeline, tests, output, tell=tell, jobs=jobs, test_fits=test_fits, failed=list(failed))
+    work = Work(
+        pipeline,
+        measured.tests,
+        output,
+        tell=tell,
+        jobs=jobs,
+        recorded=measured.recorded,
+        test_fits=measured.fits,
+        failed=list(measured.failed),
+    )
     records = _run_sections(work)
     identification = dataclasses.replace(
         basis,

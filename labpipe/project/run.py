@@ -5,22 +5,22 @@ several tests one that fails is named and the others are finished.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.artefacts.header import SourceRef, source_ref
+from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.writing import OutputFolder, existing_home, staging_folder
 from labpipe.errors import ConfigError, DataError
 from labpipe.project import one_test
 from labpipe.project.executors import Execute, serially
-from labpipe.project.identify import identify_stage
+from labpipe.project.identify import Measured, identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identify, keeps_dataset
-from labpipe.project.measured import MeasuredTest, file_stems
+from labpipe.project.measured import file_stems
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.rules import Rule
 from labpipe.project.work import check_tested
-from labpipe.records.identification import Failed, Fit, Identification
+from labpipe.records.identification import Identification
 from labpipe.registry import nearest
 
 AGAIN = "the same command goes on from there"
@@ -45,17 +45,6 @@ class Manner:
     measured_before: bool = False
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What came of all *tests*, its digests, the files behind it, fits made on the way, tests that failed."""
-
-    tests: tuple[MeasuredTest, ...]
-    sources: tuple[SourceRef, ...]
-    fits: dict[str, list[Fit]] = field(default_factory=dict)
-    failed: tuple[Failed, ...] = ()
-    inputs: tuple[SourceRef, ...] = ()
-
-
 def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identification:
     """All stages up to the identification. DataError where responses that were *measured_before* are not
     there, or were made from other settings, rigs or recordings.
@@ -66,17 +55,7 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     output.remarks.extend(filter(None, [advice(pipeline, independent)]))
     measured = measure_tests(pipeline, output, manner, independent)
     manner.tell(f"identify  {pipeline.title}")
-    return identify_stage(
-        pipeline,
-        measured.tests,
-        measured.sources,
-        output,
-        manner.tell,
-        manner.processes,
-        measured.fits,
-        measured.failed,
-        measured.inputs,
-    )
+    return identify_stage(pipeline, measured, output, manner.tell, manner.processes)
 
 
 def run_only(pipeline: Pipeline, target: Path, test: str, manner: Manner) -> one_test.Done:
@@ -131,7 +110,11 @@ def measure_tests(
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     tests = [part for job in finished for part in one_test.measured_of(job, output)]
     inputs = tuple(reference for job in finished for reference in one_test.measured_refs(job, output))
-    return Measured(tuple(tests), tuple(sources), one_test.finished_fits(finished, output), failed, inputs)
+    recorded = {
+        test: frozenset(source.sha256 for source in outcome.sources) for test, outcome in done.items()
+    }
+    fits_before = one_test.finished_fits(finished, output)
+    return Measured(tuple(tests), tuple(sources), recorded, fits_before, failed, inputs)
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:

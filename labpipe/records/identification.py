@@ -338,6 +338,11 @@ class Identification:
         return not self.failed and all(outcome.passed for outcome in self.outcomes)
 
     @property
+    def recorded(self) -> frozenset[str]:
+        """SHA-256 of the files behind the result."""
+        return frozenset(source["sha256"] for source in self.sources)
+
+    @property
     def measured_tests(self) -> list[tuple[str, dict[str, Any]]]:
         """Name and conditions of every test that was measured: as a response, as spectra, or as free decays
         that were fitted.

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
+from itertools import compress
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import few, rounded, unit_text
-from labpipe.uncertainty.amounts import joint_errors, matrix_of
+from labpipe.uncertainty.amounts import counted_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
 
@@ -32,7 +33,8 @@ class Value:
     """A parameter of a fit in one result; *label*: distinct label of the test; *when*: the date that its
     conditions give, maybe with an hour, '' where they give none.
 
-    random_error: standard error of this test alone; changes: by sources that tests may have in common.
+    random_error: standard error of this test alone; changes: by sources that tests may have in common;
+    recorded: digests of the files behind the result.
     """
 
     label: str
@@ -42,15 +44,19 @@ class Value:
     random_error: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
     band_hz: tuple[float, float] = (0.0, 0.0)
+    recorded: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
 class CoefficientSeries:
-    """The values of one parameter of one fit, by dates where all have one, else in the order given."""
+    """The values of one parameter of one fit, by dates where all have one, else in the order given. copies:
+    of the same recordings as these, which count once.
+    """
 
     fit: str
     name: str
     values: tuple[Value, ...]
+    copies: tuple[Value, ...] = ()
 
     @property
     def title(self) -> str:
@@ -121,10 +127,18 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
             values = groups.setdefault((listed.title, listed.parameter.name), [])
             values.append(_value(result, identification, listed))
     return [
-        CoefficientSeries(fit, name, tuple(_order(values)))
+        _series(fit, name, values)
         for (fit, name), values in groups.items()
         if len(values) > 1 and len({value.parameter.unit for value in values}) == 1
     ]
+
+
+def _series(fit: str, name: str, values: Sequence[Value]) -> CoefficientSeries:
+    pairs = [(value.parameter.value, value.parameter.full_error) for value in values]
+    amounts, errors = np.array(pairs, np.float64).T
+    counted = counted_once(amounts, errors, [value.recorded for value in values])
+    copies = tuple(value for value, counts in zip(values, counted, strict=True) if not counts)
+    return CoefficientSeries(fit, name, tuple(_order(list(compress(values, counted)))), copies)
 
 
 def single_parameters(identification: Identification) -> list[ListedParameter]:
@@ -151,7 +165,8 @@ def _value(result: str, identification: Identification, listed: ListedParameter)
     dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
     when = next((text for text in dates if _day(text)), "")
     label = _label(result, listed.test)
-    return Value(label, listed.parameter, amounts, when, listed.random_error, listed.changes, listed.band_hz)
+    errors = listed.random_error, listed.changes
+    return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.recorded)
 
 
 def _amount(text: str) -> tuple[float, str] | None:
@@ -250,7 +265,7 @@ TREND_HEADER = (
 )  # fmt: skip
 LEVEL = 0.05
 FEWEST = 3
-MOST_NAMED = 2
+MOST_NAMED, MOST_COPIES = 2, 12
 EXPLAINED = (
     "Every coefficient that at least two results share. Trends are straight lines weighted by the standard "
     "errors of the fits; where the tests scatter more than these say, the line's errors are enlarged. "
@@ -275,9 +290,13 @@ class Trend:
 
 def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document:
     """The report of many results (name, identification); DataError where they share no coefficient."""
-    series = coefficient_series(results)
+    everything = coefficient_series(results)
+    series = [coefficient for coefficient in everything if len(coefficient.values) > 1]
+    copies = list(dict.fromkeys(value.label for coefficient in everything for value in coefficient.copies))
     overlays = sliding_overlays(results)
     if not series and not overlays:
+        if copies:
+            raise DataError("the results are of the same recordings", hint="a recording counts once")
         raise DataError(
             "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
         )
@@ -285,7 +304,7 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     differences = _apart(series)
     corrected = holm(np.array([trend.p_value for trend in trends]))
     sections = (
-        Section("Verdict", _verdict(series, trends, corrected, differences)),
+        Section("Verdict", (*_verdict(series, trends, corrected, differences), *_left_out(copies))),
         Section("Results", (_results(results),)),
         *([Section("Trends", (Paragraph(EXPLAINED), _trend_table(trends, corrected)))] if trends else []),
         *(
@@ -374,6 +393,12 @@ def _verdict(
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
         blocks.append(Paragraph(sentence, "warning" if n_apart else "note"))
     return tuple(blocks)
+
+
+def _left_out(copies: Sequence[str]) -> tuple[Block, ...]:
+    which = few(copies, MOST_COPIES, "; ")
+    text = f"A recording counts once; left out, since others are of the same: {which}."
+    return (Paragraph(text, "note"),) if copies else ()
 
 
 def _outside(coefficient: CoefficientSeries) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -127,6 +128,23 @@ def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
     sources = dict.fromkeys(source for of_value in changes for source in of_value)
     rows = [[of_value.get(source, 0.0) for of_value in changes] for source in sources]
     return np.array(rows).reshape(len(sources), len(changes))
+
+
+# Standard errors by which two values of one recording differ at most, computed on different machines.
+ALIKE = 1e-6
+
+
+def counted_once(values: FloatArray, errors: FloatArray, recorded: Sequence[frozenset[str]]) -> list[bool]:
+    """Whether each of the values (n,), with its standard error (n,) [unit of the value], counts beside the
+    others: of those of one recording the first does. These agree within ALIKE standard errors, as do their
+    errors, and share one of the files that were *recorded*.
+    """
+    counted = [True] * values.size
+    for first, other in itertools.pairwise(np.argsort(values, kind="stable").tolist()):
+        apart = max(abs(values[other] - values[first]), abs(errors[other] - errors[first]))
+        if apart <= ALIKE * errors[first] > 0 and recorded[first] & recorded[other]:
+            counted[other] = False
+    return counted
 
 
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:

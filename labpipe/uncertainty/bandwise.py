@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.display import chance_text
 from labpipe.distributions import student_quantile, student_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.comparison import ComparedBand, Comparison
@@ -148,7 +149,7 @@ def _statement(
     result = f"{second} against {first}: {share}: {verdict}"
     corrected = f" (Holm's correction, together at most {100 * settings.level:g} % false alarms)."
     listed = [
-        f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz (p = {band.p_value:.2g})"
+        f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz ({chance_text(band.p_value)})"
         for band in differing[:MOST_NAMED]
     ]
     more = f" and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""

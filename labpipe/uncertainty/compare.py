@@ -128,8 +128,8 @@ def _comparison(
     second = [chance("second_p_value", fit.p_of(2))] if campaign.settings.second else []
     sure = p_value < campaign.settings.level
     verdict = "no trend" if not sure else "rising" if fit.values[1] > 0 else "falling"
-    fits = "" if fit.p_value is None else f"; the law fits the points with p = {fit.p_value:.2g}"
-    statement = f"{law}: {verdict} (p = {p_value:.2g}){fits}."
+    fits = "" if fit.p_value is None else f"; the law fits the points with {display.chance_text(fit.p_value)}"
+    statement = f"{law}: {verdict} ({display.chance_text(p_value)}){fits}."
     if fit.inflated:
         statement += " The points scatter more than their errors, which are enlarged accordingly."
     stated = (*amounts, chance("p_value", p_value), *second, chance("scatter_p", fit.p_value))
@@ -181,7 +181,9 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: 
     verdict = "different" if p_value < campaign.settings.level else "no difference"
     pairs = f"{mean.dof + 1} condition(s) tested both ways" if campaign.settings.over else "all tests"
     amounts = (amount, chance("p_value", p_value), chance("scatter_p", mean.p_value))
-    return campaign.comparison(amounts, verdict, f"{result} from {pairs}: {verdict} (p = {p_value:.2g}).")
+    return campaign.comparison(
+        amounts, verdict, f"{result} from {pairs}: {verdict} ({display.chance_text(p_value)})."
+    )
 
 
 def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]:
@@ -258,7 +260,7 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
             if coupled
             else "no pair is coupled above the noise"
         )
-        + f": {verdict} (p = {p_value:.2g}, corrected for the number of pairs)."
+        + f": {verdict} ({display.chance_text(p_value)}, corrected for the number of pairs)."
     )
     return Comparison(
         name=settings.name,

@@ -12,6 +12,7 @@ from scipy import linalg
 
 from labpipe import distributions
 from labpipe.arrays import FloatArray
+from labpipe.display import chance_text
 from labpipe.errors import FitError
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
@@ -214,7 +215,7 @@ def repeatability(campaign: Campaign) -> Comparison:
     percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
     result = (
         f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings "
-        f"{percent[1]:.3g} % (p = {scatter.p_value:.2g})"
+        f"{percent[1]:.3g} % ({chance_text(scatter.p_value)})"
     )
     explained = f"{'agrees with' if noise_p >= settings.level else 'exceeds'} the fits' standard errors"
     amounts = (
@@ -225,7 +226,7 @@ def repeatability(campaign: Campaign) -> Comparison:
         chance("p_value", scatter.p_value),
         chance("noise_p", noise_p),
     )
-    statement = f"{result}: {verdict}; the scatter within {explained} (p = {noise_p:.2g})."
+    statement = f"{result}: {verdict}; the scatter within {explained} ({chance_text(noise_p)})."
     return replace(
         campaign.comparison(amounts, verdict, statement),
         condition=settings.group,

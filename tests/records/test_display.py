@@ -13,6 +13,7 @@ from labpipe.display import (
     NOT_DETERMINED,
     amount_text,
     as_printed,
+    chance_text,
     number,
     plain_text,
     shown_unit,
@@ -54,6 +55,11 @@ def test_the_value_ends_where_the_second_digit_of_its_uncertainty_stands(
     value: float, error: float, texts: tuple[str, str]
 ) -> None:
     assert written(value, error) == texts
+
+
+def test_no_chance_is_zero() -> None:
+    texts = [chance_text(p) for p in (None, 1.0, 0.0123, 2.6e-9, 0.0)]
+    assert texts == ["p unknown", "p = 1", "p = 0.012", "p = 2.6e-09", "p < 1e-15"]
 
 
 def test_without_an_uncertainty_six_digits_stand() -> None:

@@ -49,7 +49,7 @@ def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.
         (fit,),
         "Campaign",
         pipeline="p.yaml",
-        sources=({"path": "a.csv", "sha256": "ab" * 32},),
+        sources=({"path": "a.csv", "sha256": f"{day} {k:g}"},),
         settings=settings,
         version="0.1.0",
     )
@@ -113,6 +113,16 @@ def test_tests_of_one_day_stand_in_the_order_of_their_hours_and_limits_have_thei
     (one,) = coefficient_series(results)
     assert one.shown().tolist() == [10.002, 10.001, 10.0] and "date" not in one.over()
     assert "centre 10.00100, limits 9.99834 to 10.00366 kN/m" in told(results)
+
+
+def test_a_result_copied_to_another_folder_counts_once() -> None:
+    results = campaign([1000.0, 2000.0, 4000.0], [400, 500, 700])
+    copied = [*results, ("copy", results[1][1])]
+    assert [len(of.values) for of in coefficient_series(copied)] == [3]
+    left_out = "A recording counts once; left out, since others are of the same: copy, run."
+    assert left_out in told(copied) and "counts once" not in told(results)
+    with pytest.raises(DataError, match="the results are of the same recordings"):
+        campaign_document([results[0], ("copy", results[0][1])])
 
 
 def test_a_series_is_sorted_by_date_and_knows_its_conditions() -> None:

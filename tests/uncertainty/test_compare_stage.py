@@ -266,6 +266,15 @@ def test_a_rule_on_an_interval_that_is_not_there_fails(project, labpipe) -> None
     assert "found no interval" in ended.out
 
 
+def test_a_recording_under_two_tests_counts_once(project: Path, labpipe) -> None:
+    """Before, six tests of one recording had a sixth of its variance, and no trend for sure."""
+    (project / "701-up.csv").write_bytes((project / "427-up.csv").read_bytes())
+    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out")
+    what = "the tests '427-up' and '701-up' are of the same recordings; a recording counts once; leave one"
+    assert ended.code == 2 and f"compare.ratio: {what}" in ended.err
+    assert not (project / "out/identification.json").exists()
+
+
 def test_a_comparison_that_cannot_be_made_is_named(project, labpipe) -> None:
     path = edited(project, lambda plan: plan["tests"][0]["conditions"].pop("preload"))
     ended = labpipe("run", path, "-o", project / "out")

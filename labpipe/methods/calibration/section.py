@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.display import chance_text
 from labpipe.distributions import f_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError, SettingError
 from labpipe.estimation.regression import solve_scaled
@@ -125,7 +126,7 @@ def line_fit(name: str, test: str, line: Line, units: tuple[str, str], x: FloatA
     if p_value is not None and p_value < CURVATURE_P:
         share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
         bent, through = ("bend", "") if line.values.size == 2 else ("bend, or miss zero", " through zero")
-        what = f"the points {bent} (p = {p_value:.2g} for a straight line{through})"
+        what = f"the points {bent} ({chance_text(p_value)} for a straight line{through})"
         what += f"; the largest deviation is {share:.2g} % of the range"
         findings = (Finding("model-mismatch", what),)
     return Fit(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.estimation.coefficient_error import CoefficientError, Patterns, averaged_error
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, Noise, times
@@ -318,7 +319,7 @@ def balance_error(
     factor = float(np.sqrt(reduced))
     excess = (
         f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {reduced:.3g}, p = {p_value:.2g})"
+        f"freedom {reduced:.3g}, {chance_text(p_value)})"
     )
     error = averaged_error(misfit)
     if error is None:

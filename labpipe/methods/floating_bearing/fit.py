@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.regression import triangle_of
@@ -248,8 +249,8 @@ def choice_findings(candidates: Sequence[Candidate], form: str, given: bool) -> 
         names = ", ".join(candidate.name for candidate in candidates)
         message = (
             f"none of the compared forms ({names}) explains the data: the best, {least.name}, leaves "
-            f"{least.chi2 / least.dof:.3g} times the squares that noise would (p = {least.chi2_p:.2g}). The "
-            "bearing is not linear at this amplitude, a channel or the baseline is wrong, or its course "
+            f"{least.chi2 / least.dof:.3g} times the squares that noise would ({chance_text(least.chi2_p)}). "
+            "The bearing is not linear at this amplitude, a channel or the baseline is wrong, or its course "
             "over frequency is another one; look at the figure over frequency"
         )
         findings.append(Finding("no-model", message))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.causes import stated_findings
 from labpipe.estimation.descent import Minimum, linearised, minimise
@@ -451,7 +452,7 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
 
 def fit_statement(fit: LoopFit) -> str:
     loop = "loop with its fitted unknowns" if fit.parameters else "loop"
-    chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, p = {fit.chi2_p:.2g}"
+    chance_of = f"chi² per degree of freedom {fit.chi2_reduced:.3f}, {chance_text(fit.chi2_p)}"
     statement = f"All {fit.lines} lines against the {loop}: {chance_of}."
     if fit.parameters and not fit.determined:
         statement += f" {' and '.join(fit.alike)} cannot be told apart, so none is given."

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
@@ -98,10 +99,10 @@ def modal_findings(
     if factor is not None:
         what = (
             f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-            f"freedom {estimate.chi2_reduced:.3g}, p = {estimate.chi2_p:.2g})"
+            f"freedom {estimate.chi2_reduced:.3g}, {chance_text(estimate.chi2_p)})"
         )
     elif unexplained(estimate, p_noise):
-        what = f"the residual is not noise: it is alike on neighbouring lines (p = {p_noise:.2g})"
+        what = f"the residual is not noise: it is alike on neighbouring lines ({chance_text(p_noise)})"
     elif errors:
         modes = ", ".join(str(number) for number in errors)
         what = f"the FRFs, filtered for mode {modes} alone, show more than one mode and noise"

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import linearised, minimise, sum_of_squares
@@ -477,9 +478,9 @@ def _mismatch(tested: likelihood.Judged) -> tuple[Finding, ...]:
         else "another mode or hum, forced motion at the start, or coloured noise"
     )
     message = (
-        f"what the fit leaves is not white noise (p = {p_value:.2g}), most of it near {tested.strongest:.4g} "
-        f"Hz: {cause}. Intervals hold what the stretches of the decay scatter by. Raise `modes`, name a "
-        "`band` around the mode, or begin later (`frf: {decay: {start: ...}}`)."
+        f"what the fit leaves is not white noise ({chance_text(p_value)}), most of it near "
+        f"{tested.strongest:.4g} Hz: {cause}. Intervals hold what the stretches of the decay scatter by. "
+        "Raise `modes`, name a `band` around the mode, or begin later (`frf: {decay: {start: ...}}`)."
     )
     return (Finding("model-mismatch", message),)
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import chance_text
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import VISCOUS, FitSettings
@@ -337,8 +338,8 @@ def _one_factor(mean: WeightedFit) -> str:
     if mean.p_value is None:
         return ""
     if not mean.inflated:
-        return f" One factor holds for all tests (p = {mean.p_value:.2g})."
-    what = f"One factor does not hold for all tests (p = {mean.p_value:.2g})"
+        return f" One factor holds for all tests ({chance_text(mean.p_value)})."
+    what = f"One factor does not hold for all tests ({chance_text(mean.p_value)})"
     return f" {what}; the interval is widened by their scatter."
 
 
@@ -378,7 +379,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         ratio = from_log("ratio", "1", float(log - np.log(beta.value)), float(error), NORMAL)
         theory = point.value / ratio.value
         points.append(replace(point, theory=theory, ratio=ratio.value, ratio_ci95=ratio.ci95))
-    statement = f"{result} (Rayleigh damping: 1): {verdict} (p = {mean.p_value:.2g})."
+    statement = f"{result} (Rayleigh damping: 1): {verdict} ({chance_text(mean.p_value)})."
     amounts = (beta, exponent, chance("p_value", mean.p_value))
     return replace(campaign.comparison(amounts, verdict, statement), points=tuple(points))
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.display import with_error, written
+from labpipe.display import chance_text, with_error, written
 from labpipe.methods.run_ups import figures, records
 from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.records.identification import Identification
@@ -160,8 +160,6 @@ def uncertainty_blocks(result: records.RunUpResult) -> tuple[Block, ...]:
 
 
 def _uncertainty_row(method: records.RunUpMethod) -> tuple[str, ...]:
-    p = method.chi2_p
-    p_text = "p unknown" if p is None else "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"
     return (
         SHORT.get(method.name, method.title),
         method.verdict,
@@ -170,7 +168,9 @@ def _uncertainty_row(method: records.RunUpMethod) -> tuple[str, ...]:
         "" if method.share_at_bound is None else f"{100 * method.share_at_bound:.0f} %",
         str(method.n_datum),
         "" if method.n_effective is None else f"{method.n_effective:.0f}",
-        "no redundant datum" if method.chi2_per_datum is None else f"{method.chi2_per_datum:.2f} ({p_text})",
+        "no redundant datum"
+        if method.chi2_per_datum is None
+        else f"{method.chi2_per_datum:.2f} ({chance_text(method.chi2_p)})",
     )
 
 
