@@ -210,7 +210,8 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard
     errors alone, corrected for the number of parameters (Holm).
     """
-    pairs = catalogue_search.differences(_parameters(first), _parameters(second))
+    (mine, recorded), (others, recorded_there) = _parameters(first), _parameters(second)
+    pairs = catalogue_search.differences(mine, others)
     in_both = dict.fromkeys(pair.parameter for pair in pairs)
     if unknown := [name for name in parameter if name not in in_both]:
         raise ConfigError(
@@ -226,15 +227,19 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     n_different = sum(pair.differs for pair in tested)
     level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
+    shared = recorded & recorded_there
+    if shared and shared in (recorded, recorded_there):
+        echo("both are of the same files: what they have of their noise in common makes no difference")
 
 
-def _parameters(path: Path) -> list[ListedParameter]:
+def _parameters(path: Path) -> tuple[list[ListedParameter], frozenset[str]]:
+    """The parameters of a result, and the digests of the files behind it."""
     with results_read(path) as here:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)
         if identification.dataset is not None:
-            return catalogue_search.dataset_parameters(file.parent)
-        return list(listed_parameters(identification))
+            return catalogue_search.dataset_parameters(file.parent), identification.recorded
+        return list(listed_parameters(identification)), identification.recorded
 
 
 def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:

@@ -412,6 +412,11 @@ def test_comparing_on_the_terminal(campaign: Path, labpipe) -> None:
     assert ended.code == 0 and "0 of 4 parameters differ" in ended.out
     rows = list(csv.DictReader((campaign / "d.csv").read_text().splitlines()))
     assert len(rows) == 4 and {row["p_value"] for row in rows} == {"1.0"}
+    assert "of the same files" not in ended.out
+    for name, digests in (("once", "a"), ("again", "ab")):
+        sources = tuple({"path": f"{digest}.csv", "sha256": 64 * digest} for digest in digests)
+        store(campaign / name, [fit("a", 1000.0)], {"a": {}}, sources=sources)
+    assert "both are of the same files" in labpipe("compare", campaign / "once", campaign / "again").out
     ended = labpipe("compare", campaign / "one", campaign / "three")
     assert ended.code == 2 and "no fit in common (fits: direct; axial)" in ended.err
     path = campaign / "sub/two/identification.json"

@@ -32,7 +32,7 @@ from labpipe.methods.rotor_system.posterior import (
     pulls,
     refit,
 )
-from labpipe.methods.rotor_system.settings import RESPONSE, RotorSystemSettings, SystemTest, place_of
+from labpipe.methods.rotor_system.settings import MODES, RESPONSE, RotorSystemSettings, SystemTest, place_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work
@@ -64,6 +64,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     system = settings.system
     assert system is not None
     try:
+        check_counted_once(settings.tests, work)
         readings = {test.name: reading for test in settings.tests if (reading := _reading(test, work))}
         sensors = {test.name: sensors_of(test, readings.get(test.name)) for test in settings.tests}
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
@@ -86,6 +87,18 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
         raise
+
+
+def check_counted_once(tests: Sequence[SystemTest], work: Work) -> None:
+    """ConfigError for modes of a fit beside lines of the FRF that it is of."""
+    fits = [(test, fit) for test in tests for fit in work.fits if test.kind == MODES and fit.name == test.fit]
+    for modes, fit in fits:
+        for other in tests:
+            begin, end = other.band or (0.0, np.inf)
+            same_lines = begin < fit.band_hz[1] and fit.band_hz[0] < end
+            if other.kind == RESPONSE and other.test == fit.test and same_lines:
+                what = f"'{modes.name}' is a fit of the FRF of '{other.name}'"
+                raise ConfigError(what, hint="its lines count once; leave one of them out")
 
 
 def _fit(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -122,6 +123,15 @@ class SystemTest(Settings):
         if self.damping and len(self.damping) != len(self.frequencies):
             raise SettingError("damping", "'damping' has as many values as 'frequencies'")
 
+    def counts_as(self, other: SystemTest) -> bool:
+        """Whether both have lines of one FRF, one run, or modes of one fit."""
+        if self.kind != other.kind:
+            return False
+        (low, high), (begin, end) = (test.band or (0.0, math.inf) for test in (self, other))
+        same_lines = bool(self.test) and self.test == other.test and begin < high and low < end
+        same_run = self.run is not None and other.run is not None and self.run.path == other.run.path
+        return same_lines or same_run or bool(self.kind == MODES and self.fit and self.fit == other.fit)
+
     @property
     def has_modes(self) -> bool:
         """Whether natural frequencies stand in it."""
@@ -202,12 +212,7 @@ class RotorSystemSettings(Settings):
     system: RotorSystem | None = None
 
     def __post_init__(self) -> None:
-        if not self.tests:
-            raise SettingError("tests", "a list of tests is needed", "- {name: hammer, kind: modes, ...}")
-        names = [test.name for test in self.tests]
-        for name in names:
-            if names.count(name) > 1:
-                raise SettingError("tests", f"a second test named '{name}'", "names must differ")
+        self._check_tests()
         if self.draws < 20:
             raise SettingError("draws", "at least 20 draws are needed")
         if self.speeds is not None and self.speeds[0] <= 0:
@@ -222,6 +227,17 @@ class RotorSystemSettings(Settings):
                 hint = f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]"
                 raise SettingError("rotor", "nothing of the rotor is unknown", hint)
             self._check_places(self.system)
+
+    def _check_tests(self) -> None:
+        if not self.tests:
+            raise SettingError("tests", "a list of tests is needed", "- {name: hammer, kind: modes, ...}")
+        for place, test in enumerate(self.tests):
+            for other in self.tests[:place]:
+                if other.name == test.name:
+                    raise SettingError("tests", f"a second test named '{test.name}'", "names must differ")
+                if other.counts_as(test):
+                    what = f"'{other.name}' and '{test.name}' are one measurement"
+                    raise SettingError("tests", what, "it counts once: leave one out, or divide its band")
 
     def _check_places(self, system: RotorSystem) -> None:
         n_node = system.rig.rotor.n_node

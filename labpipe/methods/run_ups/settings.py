@@ -258,6 +258,10 @@ class RunUpSettings(Settings):
         for name in names:
             if names.count(name) > 1:
                 raise SettingError("runs", f"a second run named '{name}'", "names must differ")
+        files = [run.path for run in self.runs]
+        if twice := next((run for run in self.runs if files.count(run.path) > 1 and run.path.name), None):
+            what = f"several runs are of '{twice.path.name}'"
+            raise SettingError("runs", what, "a run counts once; leave the others out")
         if self.probes != ProbeSettings() and all(run.recording for run in self.runs):
             raise SettingError("probes", "no run is a table", "a recording has those of its rig file")
         if all(run.role == HELD_OUT for run in self.runs):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 
@@ -32,11 +33,14 @@ UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Joint normal distribution of parameters: names, mean (n,), covariance (n, n) [SI units]."""
+    """Joint normal distribution of parameters: names, mean (n,), covariance (n, n) [SI units]. measured:
+    test and band [Hz] of the fit that it comes from, if any.
+    """
 
     names: tuple[str, ...]
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+    measured: tuple[str, tuple[float, float]] | None = None
 
     @classmethod
     def of(cls, names: Iterable[str], mean: Iterable[float], covariance: FloatArray) -> Gaussian:
@@ -199,7 +203,7 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
         what = f"wear.prior: '{wear.prior}' has {len(named)} results"
         raise ConfigError(what, hint="give that fit one `test` and one `band`")
     if named:
-        whole = posterior(named[0], wear.same_wear)
+        whole = replace(posterior(named[0], wear.same_wear), measured=(named[0].test, named[0].band_hz))
         if twice := [name for name in wear.fixed_values if name in whole.names]:
             what = f"wear.{twice[0]}: '{wear.prior}' has tuned it, and a value is given as well"
             raise ConfigError(what, hint="leave it out")
@@ -236,6 +240,13 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.wear.fit import worn_fit
 
+    prior: Gaussian | None = settings.model_settings.posterior
+    if prior is not None and prior.measured is not None:
+        test, (low, high) = prior.measured
+        begin, end = settings.band or (0.0, math.inf)
+        if test == response.name and begin < high and low < end:
+            what = f"wear.prior: '{settings.model_settings.prior}' is of this test: its lines count once"
+            raise ConfigError(what, hint="name another `test`, or another band")
     return (worn_fit(response, settings),)
 
 

@@ -17,6 +17,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
 from labpipe.methods.rotor_system.build import Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evaluate import (
+    check_counted_once,
     evidence_of,
     explained_text,
     free_modes_of,
@@ -34,7 +35,7 @@ from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.project.exports import parameter_table
 from labpipe.project.work import Work
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
-from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
+from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
 from tests.methods.rotor_system.two_discs import OIL, system
 
 ROOT = Path(__file__).parents[3]
@@ -171,6 +172,7 @@ def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> Non
     [
         ({"rotor_system": {"tests": []}}, "rotor_system", "a list of tests is needed"),
         ({"tests.0.test": "fre"}, "rotor_system", "no FRF 'fre'; did you mean 'free'?"),
+        ({"tests.2.test": "shaken y"}, "rotor_system.tests", "'shaken y' and 'shaken z' are one measurement"),
         ({"tests.4.fit": "x"}, "rotor_system.tests", "'fit' is of kind modes or response"),
         ({"tests.4.mass": "33 kg"}, "rotor_system.tests", "'mass' needs its uncertainty"),
         ({"tests.1.speed": "-10 Hz"}, "rotor_system.tests.2.speed", "speed must not be negative"),
@@ -374,6 +376,38 @@ def test_a_fit_of_several_bands_is_no_test_of_modes() -> None:
         free_modes_of(
             SystemTest(name="hammer", kind="modes", fit="modes"), cast("Work", SimpleNamespace(fits=fits))
         )
+
+
+@pytest.mark.parametrize("band", [None, (100.0, 300.0), (120.0, 300.0)])
+def test_modes_of_a_fit_beside_lines_of_its_frf_count_once(band: tuple[float, float] | None) -> None:
+    """Before, such modes were known twice as well in variance. Lines beyond those of the fit are others."""
+    work = cast("Work", SimpleNamespace(fits=[SimpleNamespace(name="m", test="free", band_hz=(20.0, 120.0))]))
+    tests = [
+        SystemTest(name="hammer", kind="modes", fit="m"),
+        SystemTest(name="strings", kind="response", test="free", band=band),
+    ]
+    if band == (120.0, 300.0):
+        check_counted_once(tests, work)
+    else:
+        with pytest.raises(ConfigError, match="'hammer' is a fit of the FRF of 'strings'; its lines count"):
+            check_counted_once(tests, work)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "same"),
+    [
+        ({"kind": "response", "test": "a"}, {"kind": "response", "test": "a", "band": (5.0, 9.0)}, True),
+        ({"kind": "response", "test": "a", "band": (9.0, 12.0)}, {"kind": "response", "test": "a"}, True),
+        ({"kind": "response", "test": "a", "band": (1.0, 5.0)}, {"test": "a", "band": (5.0, 9.0)}, False),
+        ({"kind": "response", "test": "a"}, {"kind": "response", "test": "b"}, False),
+        ({"kind": "modes", "fit": "m"}, {"kind": "modes", "fit": "m"}, True),
+        ({"kind": "modes", "frequencies": ("9 Hz +- 1 Hz",)}, {"frequencies": ("9 Hz +- 1 Hz",)}, False),
+        ({"kind": "static", "mass": Uncertain(9.0, 0.1)}, {"mass": Uncertain(9.0, 0.1)}, False),
+    ],
+)
+def test_a_measurement_that_is_entered_twice_counts_once(first: dict, second: dict, same: bool) -> None:
+    one, other = (SystemTest(name=n, **{**first, **entry}) for n, entry in (("x", first), ("y", second)))
+    assert one.counts_as(other) == other.counts_as(one) == same
 
 
 @pytest.mark.long

@@ -66,6 +66,10 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
         (HEAD + "  runs:\n    - {{file: none.csv}}\n", "run_ups.runs.1.file: no such file 'none.csv'"),
         (HEAD + "  runs:\n    - {{load: 3 N}}\n", "one of 'file' and 'recording' is needed"),
         (HEAD + RUNS + RUNS.partition("\n")[2], "a second run named 'load-1'"),
+        (
+            HEAD + RUNS + RUNS.partition("\n")[2].replace("}}", ", name: again}}"),
+            "several runs are of 'load-1",
+        ),
         (HEAD + RUNS.replace("}}", ", role: held-out}}"), "every run is held out"),
         (HEAD + RUNS.replace("}}", ", role: test}}"), "unknown choice 'test'"),
         (HEAD + RUNS.replace("}}", ", load: -1 N}}"), "'load' must be positive"),

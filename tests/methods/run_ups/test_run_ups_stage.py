@@ -366,9 +366,10 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
 @pytest.mark.parametrize("names", [("5 N", "5-N"), ("5 N", "5-N-residual")])
 def test_two_recordings_of_one_file_are_refused(tmp_path: Path, names: tuple[str, str]) -> None:
     """Runs whose names differ in what no file name has shared one recording, that of the last."""
-    what = "recording: a.parquet, tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm}, subtract: b.parquet"
-    runs = "".join(f"    - {{name: {name}, {what}}}\n" for name in names)
-    for name in "ab":
+    what = "tacho: n, load: 8 N, unbalance: {disc 1: 50 g.mm}, subtract: b.parquet"
+    pairs = zip(names, "ac", strict=True)
+    runs = "".join(f"    - {{name: {name}, recording: {file}.parquet, {what}}}\n" for name, file in pairs)
+    for name in "abc":
         (tmp_path / f"{name}.parquet").touch()
     with pytest.raises(ConfigError, match=r"'5.N.*' and '5.N.*' would write the same file"):
         identified(tmp_path, runs)

@@ -216,6 +216,7 @@ def test_what_a_tuning_found_sharpens_the_wear() -> None:
     tuning = replace(
         fitted(fit_settings(healthy=True, **NUISANCES), measured(worn_rig(**TRUE_BEARING), 0.01, rng, BAND)),
         name="tuning",
+        test="healthy",
     )
     response = measured(worn_rig(22.27, 11.0, **TRUE_BEARING), 0.02, rng, BAND)
     sharpened = with_prior(fit_settings(prior="tuning"), [tuning])
@@ -236,6 +237,19 @@ def test_priors_that_are_not_there(joint: Fit) -> None:
     with pytest.raises(ConfigError, match="tuned none of viscosity"):
         with_prior(settings, [other])
     assert with_prior(fit_settings(), []) == fit_settings()
+
+
+def test_a_test_that_was_tuned_is_not_fitted_again_with_what_it_told(joint: Fit) -> None:
+    """Its lines counted twice. Those of another band, or test, count."""
+    rng = np.random.default_rng(4)
+    response = replace(measured(worn_rig(22.27, 11.0), 0.02, rng, BAND), name="a")
+    tuned = with_prior(fit_settings(prior="tuning"), [replace(joint, name="tuning", test="a")])
+    with pytest.raises(ConfigError, match=r"wear.prior: 'tuning' is of this test: its lines count once"):
+        identify(response, tuned)
+    prior = tuned.model_settings.posterior
+    assert prior.measured == ("a", joint.band_hz) and prior == replace(
+        posterior(joint), measured=prior.measured
+    )
 
 
 def test_a_value_beside_the_prior_that_tuned_it_is_refused(joint: Fit) -> None:
