@@ -210,7 +210,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard
     errors alone, corrected for the number of parameters (Holm).
     """
-    (mine, recorded), (others, recorded_there) = _parameters(first), _parameters(second)
+    (mine, digests), (others, digests_there) = _parameters(first), _parameters(second)
     pairs = catalogue_search.differences(mine, others)
     in_both = dict.fromkeys(pair.parameter for pair in pairs)
     if unknown := [name for name in parameter if name not in in_both]:
@@ -227,8 +227,8 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     n_different = sum(pair.differs for pair in tested)
     level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
-    shared = recorded & recorded_there
-    if shared and shared in (recorded, recorded_there):
+    shared = digests & digests_there
+    if shared and shared in (digests, digests_there):
         echo("both are of the same files: what they have of their noise in common makes no difference")
 
 
@@ -238,8 +238,8 @@ def _parameters(path: Path) -> tuple[list[ListedParameter], frozenset[str]]:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)
         if identification.dataset is not None:
-            return catalogue_search.dataset_parameters(file.parent), identification.recorded
-        return list(listed_parameters(identification)), identification.recorded
+            return catalogue_search.dataset_parameters(file.parent), identification.digests
+        return list(listed_parameters(identification)), identification.digests
 
 
 def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:

@@ -160,7 +160,7 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "dataset": int(identification.dataset is not None),
         "verdict": verdict(identification),
         "warnings": ", ".join(sorted(_all_codes(identification))),
-        "sources": " ".join(identification.recorded),
+        "sources": " ".join(identification.digests),
     }
     rows = [("result", entry)]
     for listed in listed_parameters(identification):
@@ -277,7 +277,7 @@ class ResultRow:
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
     """One parameter of one fit [SI]; *conditions* of its test, *amounts* of the numeric ones. random_error:
-    without what given numbers add; changes: by each of these, as JSON. recorded: digests of the files behind
+    without what given numbers add; changes: by each of these, as JSON. digests: of the files behind
     it.
     """
 
@@ -301,7 +301,7 @@ class ValueRow:
     warnings: str
     conditions: dict[str, str]
     amounts: dict[str, tuple[float, str]]
-    recorded: frozenset[str] = frozenset()
+    digests: frozenset[str] = frozenset()
 
     @property
     def label(self) -> str:
@@ -320,7 +320,7 @@ class ValueRow:
 
 
 # What a value has beside its columns.
-BESIDE = ("conditions", "amounts", "recorded")
+BESIDE = ("conditions", "amounts", "digests")
 VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in BESIDE)
 
 # Columns of which no result lacks the number, though it may not be one.
@@ -357,8 +357,8 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
             name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
         }
         conditions, amounts = of_test(number, entries["test"])
-        recorded = frozenset(sources.split())
-        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts, recorded=recorded))
+        digests = frozenset(sources.split())
+        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts, digests=digests))
     return value_rows
 
 

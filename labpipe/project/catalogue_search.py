@@ -43,7 +43,7 @@ from labpipe.project.catalogue import (
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import nearest
-from labpipe.uncertainty.amounts import counted_once, joint_errors, matrix_of
+from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
 
@@ -141,7 +141,7 @@ def value_row(
         changes=json.dumps(dict(row["changes"])),
         conditions=texts,
         amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
-        recorded=frozenset(filter(None, [row.get("source")])),
+        digests=frozenset(filter(None, [row.get("source")])),
     )
 
 
@@ -372,7 +372,7 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
     pairs = sorted(zip(condition, rows, strict=True), key=lambda pair: (pair[0], pair[1].date, pair[1].path))
     places, of_rows = zip(*pairs, strict=True)
     values, errors = np.array([(row.value, row.std_error) for row in of_rows], np.float64).T
-    counted = counted_once(values, errors, [row.recorded for row in of_rows])
+    counted = count_once(values, errors, [row.digests for row in of_rows])
     copies = tuple(row for row, counts in zip(of_rows, counted, strict=True) if not counts)
     once = tuple(itertools.compress(of_rows, counted))
     return Series(fit, parameter, over, unit, np.array(places)[counted], once, copies)

@@ -85,7 +85,7 @@ def _check_copies(tests: Iterable[str], work: Work) -> None:
     for test in tests:
         of_test = (fit for fit in work.fits if fit.test == test)
         values = tuple((fit.name, p.name, p.value, p.std_error) for fit in of_test for p in fit.parameters)
-        other = first.setdefault((work.recorded.get(test, test), values), test)
+        other = first.setdefault((work.digests.get(test, test), values), test)
         if other != test:
             what = f"the tests '{other}' and '{test}' are of the same recordings"
             raise ConfigError(what, hint="a recording counts once; leave one of them out")

@@ -31,14 +31,14 @@ BASIS = ("sources", "inputs", "settings", "rig", "version", "code")
 
 @dataclass(frozen=True)
 class Measured:
-    """What came of all *tests*, and the files behind it: *recorded* of each by its digests, *sources* of all;
+    """What came of all *tests*, and the files behind it: *digests* of each test, *sources* of all;
     *fits* made on the way, tests that *failed*. inputs: digests of what was measured, by which a change of a
     rig or recording reaches the result.
     """
 
     tests: tuple[MeasuredTest, ...] = ()
     sources: tuple[SourceRef, ...] = ()
-    recorded: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    digests: Mapping[str, frozenset[str]] = field(default_factory=dict)
     fits: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
     failed: tuple[Failed, ...] = ()
     inputs: tuple[SourceRef, ...] = ()
@@ -73,7 +73,7 @@ def identify_stage(
         output,
         tell=tell,
         jobs=jobs,
-        recorded=measured.recorded,
+        digests=measured.digests,
         test_fits=measured.fits,
         failed=list(measured.failed),
     )

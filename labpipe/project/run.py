@@ -110,11 +110,9 @@ def measure_tests(
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     tests = [part for job in finished for part in one_test.measured_of(job, output)]
     inputs = tuple(reference for job in finished for reference in one_test.measured_refs(job, output))
-    recorded = {
-        test: frozenset(source.sha256 for source in outcome.sources) for test, outcome in done.items()
-    }
+    digests = {test: frozenset(source.sha256 for source in outcome.sources) for test, outcome in done.items()}
     fits_before = one_test.finished_fits(finished, output)
-    return Measured(tuple(tests), tuple(sources), recorded, fits_before, failed, inputs)
+    return Measured(tuple(tests), tuple(sources), digests, fits_before, failed, inputs)
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:

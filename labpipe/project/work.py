@@ -28,7 +28,7 @@ COMPARE_PREFIX, FIT_PREFIX = "compare.", "identify."
 
 @dataclass(frozen=True)
 class Work:
-    """A pipeline whose recordings have been measured. recorded: digests of the files of every test.
+    """A pipeline whose recordings have been measured. digests: of the files of every test.
     test_fits: made already test by test, by their name in the pipeline. fits: of the sections so far. failed:
     missing tests, and comparisons that need them. *jobs*: processes of a study, 0 for one per processor.
     """
@@ -39,7 +39,7 @@ class Work:
     _: KW_ONLY
     tell: Tell = lambda _: None
     jobs: int = 0
-    recorded: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    digests: Mapping[str, frozenset[str]] = field(default_factory=dict)
     test_fits: Mapping[str, Sequence[Fit]] = field(default_factory=dict)
     fits: list[Fit] = field(default_factory=list)
     failed: list[Failed] = field(default_factory=list)

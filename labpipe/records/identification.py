@@ -338,7 +338,7 @@ class Identification:
         return not self.failed and all(outcome.passed for outcome in self.outcomes)
 
     @property
-    def recorded(self) -> frozenset[str]:
+    def digests(self) -> frozenset[str]:
         """SHA-256 of the files behind the result."""
         return frozenset(source["sha256"] for source in self.sources)
 

@@ -23,7 +23,7 @@ from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import few, rounded, unit_text
-from labpipe.uncertainty.amounts import counted_once, joint_errors, matrix_of
+from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
 
@@ -34,7 +34,7 @@ class Value:
     conditions give, maybe with an hour, '' where they give none.
 
     random_error: standard error of this test alone; changes: by sources that tests may have in common;
-    recorded: digests of the files behind the result.
+    digests: of the files behind the result.
     """
 
     label: str
@@ -44,7 +44,7 @@ class Value:
     random_error: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
     band_hz: tuple[float, float] = (0.0, 0.0)
-    recorded: frozenset[str] = frozenset()
+    digests: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
 def _series(fit: str, name: str, values: Sequence[Value]) -> CoefficientSeries:
     pairs = [(value.parameter.value, value.parameter.full_error) for value in values]
     amounts, errors = np.array(pairs, np.float64).T
-    counted = counted_once(amounts, errors, [value.recorded for value in values])
+    counted = count_once(amounts, errors, [value.digests for value in values])
     copies = tuple(value for value, counts in zip(values, counted, strict=True) if not counts)
     return CoefficientSeries(fit, name, tuple(_order(list(compress(values, counted)))), copies)
 
@@ -166,7 +166,7 @@ def _value(result: str, identification: Identification, listed: ListedParameter)
     when = next((text for text in dates if _day(text)), "")
     label = _label(result, listed.test)
     errors = listed.random_error, listed.changes
-    return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.recorded)
+    return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.digests)
 
 
 def _amount(text: str) -> tuple[float, str] | None:

@@ -134,15 +134,15 @@ def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
 ALIKE = 1e-6
 
 
-def counted_once(values: FloatArray, errors: FloatArray, recorded: Sequence[frozenset[str]]) -> list[bool]:
+def count_once(values: FloatArray, errors: FloatArray, digests: Sequence[frozenset[str]]) -> list[bool]:
     """Whether each of the values (n,), with its standard error (n,) [unit of the value], counts beside the
     others: of those of one recording the first does. These agree within ALIKE standard errors, as do their
-    errors, and share one of the files that were *recorded*.
+    errors, and share one of the *digests* of the files behind them.
     """
     counted = [True] * values.size
     for first, other in itertools.pairwise(np.argsort(values, kind="stable").tolist()):
         apart = max(abs(values[other] - values[first]), abs(errors[other] - errors[first]))
-        if apart <= ALIKE * errors[first] > 0 and recorded[first] & recorded[other]:
+        if apart <= ALIKE * errors[first] > 0 and digests[first] & digests[other]:
             counted[other] = False
     return counted
 

@@ -242,14 +242,14 @@ def test_a_recording_that_two_results_hold_counts_once() -> None:
     """Run again into another folder, three tests are six rows: the line's error is that of three. Values of
     other recordings count, were they alike to the last digit.
     """
-    rows = [row(5 + 0.01 * x, f"{x} N", recorded=frozenset({f"{x}"})) for x in (100, 200, 400)]
+    rows = [row(5 + 0.01 * x, f"{x} N", digests=frozenset({f"{x}"})) for x in (100, 200, 400)]
     again = [replace(one, path="again/identification.json", value=one.value + 1e-9) for one in rows]
     (once,), (series,) = trends(rows, "preload"), trends([*rows, *again], "preload")
     assert series.rows == once.rows and series.condition.tolist() == [100.0, 200.0, 400.0]
     assert [copy.path for copy in series.copies] == ["again/identification.json"] * 3
     assert series.line is not None and once.line is not None
     assert series.line.std_error(1) == once.line.std_error(1)
-    others = [replace(one, recorded=frozenset({"other"})) for one in again]
+    others = [replace(one, digests=frozenset({"other"})) for one in again]
     (all_count,) = trends([*rows, *others], "preload")
     assert len(all_count.rows) == 6 and not all_count.copies
 

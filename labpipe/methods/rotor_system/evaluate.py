@@ -64,7 +64,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     system = settings.system
     assert system is not None
     try:
-        check_counted_once(settings.tests, work)
+        check_counts_once(settings.tests, work)
         readings = {test.name: reading for test in settings.tests if (reading := _reading(test, work))}
         sensors = {test.name: sensors_of(test, readings.get(test.name)) for test in settings.tests}
         work.tell(f"rotor     {system.rig.name}: {len(settings.tests)} tests together")
@@ -89,7 +89,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
         raise
 
 
-def check_counted_once(tests: Sequence[SystemTest], work: Work) -> None:
+def check_counts_once(tests: Sequence[SystemTest], work: Work) -> None:
     """ConfigError for modes of a fit beside lines of the FRF that it is of."""
     fits = [(test, fit) for test in tests for fit in work.fits if test.kind == MODES and fit.name == test.fit]
     for modes, fit in fits:

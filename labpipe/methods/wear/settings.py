@@ -33,14 +33,14 @@ UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Joint normal distribution of parameters: names, mean (n,), covariance (n, n) [SI units]. measured:
+    """Joint normal distribution of parameters: names, mean (n,), covariance (n, n) [SI units]. origin:
     test and band [Hz] of the fit that it comes from, if any.
     """
 
     names: tuple[str, ...]
     mean: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
-    measured: tuple[str, tuple[float, float]] | None = None
+    origin: tuple[str, tuple[float, float]] | None = None
 
     @classmethod
     def of(cls, names: Iterable[str], mean: Iterable[float], covariance: FloatArray) -> Gaussian:
@@ -203,7 +203,7 @@ def with_prior(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
         what = f"wear.prior: '{wear.prior}' has {len(named)} results"
         raise ConfigError(what, hint="give that fit one `test` and one `band`")
     if named:
-        whole = replace(posterior(named[0], wear.same_wear), measured=(named[0].test, named[0].band_hz))
+        whole = replace(posterior(named[0], wear.same_wear), origin=(named[0].test, named[0].band_hz))
         if twice := [name for name in wear.fixed_values if name in whole.names]:
             what = f"wear.{twice[0]}: '{wear.prior}' has tuned it, and a value is given as well"
             raise ConfigError(what, hint="leave it out")
@@ -241,8 +241,8 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.wear.fit import worn_fit
 
     prior: Gaussian | None = settings.model_settings.posterior
-    if prior is not None and prior.measured is not None:
-        test, (low, high) = prior.measured
+    if prior is not None and prior.origin is not None:
+        test, (low, high) = prior.origin
         begin, end = settings.band or (0.0, math.inf)
         if test == response.name and begin < high and low < end:
             what = f"wear.prior: '{settings.model_settings.prior}' is of this test: its lines count once"

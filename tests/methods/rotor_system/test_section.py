@@ -17,7 +17,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.rotor_system import predictions
 from labpipe.methods.rotor_system.build import Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evaluate import (
-    check_counted_once,
+    check_counts_once,
     evidence_of,
     explained_text,
     free_modes_of,
@@ -387,10 +387,10 @@ def test_modes_of_a_fit_beside_lines_of_its_frf_count_once(band: tuple[float, fl
         SystemTest(name="strings", kind="response", test="free", band=band),
     ]
     if band == (120.0, 300.0):
-        check_counted_once(tests, work)
+        check_counts_once(tests, work)
     else:
         with pytest.raises(ConfigError, match="'hammer' is a fit of the FRF of 'strings'; its lines count"):
-            check_counted_once(tests, work)
+            check_counts_once(tests, work)
 
 
 @pytest.mark.parametrize(

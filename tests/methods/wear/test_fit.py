@@ -247,9 +247,7 @@ def test_a_test_that_was_tuned_is_not_fitted_again_with_what_it_told(joint: Fit)
     with pytest.raises(ConfigError, match=r"wear.prior: 'tuning' is of this test: its lines count once"):
         identify(response, tuned)
     prior = tuned.model_settings.posterior
-    assert prior.measured == ("a", joint.band_hz) and prior == replace(
-        posterior(joint), measured=prior.measured
-    )
+    assert prior.origin == ("a", joint.band_hz) and prior == replace(posterior(joint), origin=prior.origin)
 
 
 def test_a_value_beside_the_prior_that_tuned_it_is_refused(joint: Fit) -> None:
