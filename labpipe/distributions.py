@@ -51,6 +51,14 @@ def coverage_factor(coverage: float, dof: float) -> float:
     return student_quantile(p, dof) if math.isfinite(dof) else normal_quantile(p)
 
 
+def other_coverage(factor: float, coverage: float) -> float:
+    """The factor for a *coverage* [1] by the degrees of freedom at which that for 95 % is *factor*."""
+    least = normal_quantile(0.975)
+    if factor <= (1 + 1e-9) * least:
+        return factor * normal_quantile((1 + coverage) / 2) / least
+    return coverage_factor(coverage, float(_special().stdtridf(0.975, factor)))
+
+
 def chi2_tail(x: Value, dof: Value) -> float:
     """P(X > x) of chi-square with *dof* degrees of freedom, which need not be whole."""
     return float(_special().chdtrc(dof, x))

@@ -18,7 +18,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import amount_text
-from labpipe.distributions import coverage_factor
+from labpipe.distributions import coverage_factor, other_coverage
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.derived import DIVIDED, BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
@@ -212,10 +212,22 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
 
 def with_contributions(fit: Fit, coverage: float) -> Fit:
     """The fit with combined and expanded uncertainty, and the sources, of parameters that given numbers make
-    uncertain. *coverage* [1] of the expanded one, by Student's t with the effective degrees of freedom.
+    uncertain. *coverage* [1] of the expanded one, by Student's t with the effective degrees of freedom. That
+    of the others is half the 95 % interval, which need not be said.
     """
     stated = fit.parameters if fit.budget is None else contribute(fit.parameters, fit.budget, coverage)
+    if coverage != FitSettings.coverage:
+        stated = tuple(_expand(parameter, coverage) for parameter in stated)
     return replace(fit, parameters=tuple(map(_with_interval_parts, stated)))
+
+
+def _expand(parameter: Parameter, coverage: float) -> Parameter:
+    """A parameter of which no expanded uncertainty is stated, with that of its interval for a *coverage*."""
+    error, ends = parameter.full_error, parameter.ci95
+    if parameter.expanded is not None or ends is None or not error:
+        return parameter
+    factor = other_coverage((ends[1] - ends[0]) / (2 * error), coverage)
+    return replace(parameter, expanded=factor * error, coverage_factor=factor)
 
 
 def _with_interval_parts(parameter: Parameter) -> Parameter:

@@ -8,8 +8,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.errors import FitError
+from labpipe.estimation.budget import with_contributions
 from labpipe.estimation.draws import drawn_error, with_drawn_interval
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
@@ -21,6 +23,7 @@ from labpipe.records.spectra import FreeDecay, FreeDecays
 from labpipe.records.uncertain import Budget, ChannelUncertainty, Uncertain, Uncertainty
 from labpipe.report.budget import budget_blocks
 from labpipe.report.document import Table
+from tests.uncertainty.conftest import a_fit
 
 K, C, M = 1.35e5, 3.7, 0.79
 BAND = np.arange(60.0, 72.0, 0.1)
@@ -354,3 +357,16 @@ def test_draws_take_a_contradicted_number_by_its_distance() -> None:
     )
     assert plain.systematic > 0.008 * plain.value
     assert np.ptp(drawn.ci95) == pytest.approx(np.ptp(plain.ci95), rel=0.15)
+
+
+@pytest.mark.parametrize("dof", [3.0, 31.0, np.inf])
+def test_the_coverage_that_is_asked_for_is_that_of_noise_alone_as_well(dof: float) -> None:
+    """99 % by Student's t (scipy.stats) in place of half the 95 % interval; at 95 % nothing needs saying."""
+    at_95, at_99 = stats.t.ppf([0.975, 0.995], dof)
+    fit = a_fit("a", {"k": (1e5, 40.0)})
+    k = dataclasses.replace(fit.parameters[0], ci95=(1e5 - 40.0 * at_95, 1e5 + 40.0 * at_95))
+    fit = dataclasses.replace(fit, parameters=(k,))
+    asked = with_contributions(fit, 0.99).parameter("k")
+    assert asked.expanded == pytest.approx(40.0 * at_99, rel=1e-9) and asked.ci95 == k.ci95
+    assert asked.coverage_factor == pytest.approx(at_99, rel=1e-9)
+    assert with_contributions(fit, 0.95).parameter("k").expanded is None

@@ -313,7 +313,7 @@ class Bench(charts.Watch):
         self._unjudged: list[int] = []
         self._again = False
         self.findings: dict[tuple[str, str], Finding] = {}
-        charts.check_names(self.goals, {fit.name: names_of_fit(fit, self.layout) for fit in self.settings})
+        self.check_goals({fit.name: names_of_fit(fit, self.layout) for fit in self.settings})
 
     @property
     def hits(self) -> bool:
@@ -488,7 +488,7 @@ class Bench(charts.Watch):
         elif parameter.name in fit.model.names and fit.now.identifiable:
             number = fit.model.names.index(parameter.name)
             of_noise = math.sqrt(wanted**2 - floor**2) / fit.by_chi_square
-            remaining = charts.forecast(fit.now, number, of_noise, fit.settings.coverage, variation)
+            remaining = charts.forecast(fit.now, number, of_noise, variation)
             remaining = replace(remaining, others=fit.by_other_forces(number, of_noise))
         return charts.Standing(parameter, wanted, remaining, floor)
 

@@ -227,21 +227,19 @@ class Forecast:
         return {"averages": more, "at_twice_the_level": twice, "by_turns": others, "low": low, "high": high}
 
 
-def half_of_noise(std_error: FloatArray, dof: FloatArray, coverage: float) -> FloatArray:
-    """t(nu) sqrt(1 + 2 / nu) s (n_parameter,) [parameter units]: it keeps its coverage at the stop."""
-    return np.asarray(scipy.special.stdtrit(dof, (1 + coverage) / 2) * np.sqrt(1 + 2 / dof) * std_error)
+def half_of_noise(std_error: FloatArray, dof: FloatArray) -> FloatArray:
+    """t(nu) sqrt(1 + 2 / nu) s (n_parameter,) [parameter units]: it holds 95 % at the stop."""
+    return np.asarray(scipy.special.stdtrit(dof, 0.975) * np.sqrt(1 + 2 / dof) * std_error)
 
 
-def needed(
-    estimate: running_fit.Estimate, number: int, goal: float, coverage: float, scale: float = 1.0
-) -> int | None:
+def needed(estimate: running_fit.Estimate, number: int, goal: float, scale: float = 1.0) -> int | None:
     """Averages that give coefficient *number* the half-width *goal*, its variance times *scale* [1]."""
     n, dof = estimate.n, estimate.dof[number]
     error = estimate.std_error[number] * np.sqrt(scale)
 
     def half(averages: float) -> float:
         later = dof * (averages - 1) / (n - 1)
-        return float(half_of_noise(error * np.sqrt(n / averages), later, coverage))
+        return float(half_of_noise(error * np.sqrt(n / averages), later))
 
     if half(n) <= goal:
         return n
@@ -250,14 +248,12 @@ def needed(
     return math.ceil(scipy.optimize.brentq(lambda averages: half(averages) - goal, n, FAR))
 
 
-def forecast(
-    estimate: running_fit.Estimate, number: int, goal: float, coverage: float, variation: float = 0.0
-) -> Forecast:
+def forecast(estimate: running_fit.Estimate, number: int, goal: float, variation: float = 0.0) -> Forecast:
     """When coefficient *number* reaches the half-width *goal* [parameter unit].
 
     *variation*: squared coefficient of variation of the information of single averages (0 of periods).
     """
-    expected = needed(estimate, number, goal, coverage)
+    expected = needed(estimate, number, goal)
     if expected is None:
         return Forecast(None)
     n, dof = estimate.n, estimate.dof[number]
@@ -268,7 +264,7 @@ def forecast(
     spread = np.sqrt(2 / gained + 2 / dof) * gained / later
     relative = estimate.std_error[number] / abs(estimate.values[number])
     moved = np.sqrt(4 * relative**2 * (1 - n / expected) + variation * (1 / n - 1 / expected))
-    ends = [needed(estimate, number, goal, coverage, float(np.exp(sign * BAND * spread))) for sign in (-1, 1)]
+    ends = [needed(estimate, number, goal, float(np.exp(sign * BAND * spread))) for sign in (-1, 1)]
     low = None if ends[0] is None else max(n + 1, int(np.floor(ends[0] * np.exp(-BAND * moved))))
     latest = FAR if ends[1] is None else np.ceil(ends[1] * np.exp(min(BAND * moved, 100.0)))
     high = int(latest) if latest < FAR else None
@@ -430,16 +426,6 @@ class Update:
         }
 
 
-def check_names(goals: Sequence[Goal], names: Mapping[str, Sequence[str]]) -> None:
-    """ConfigError for a goal on a fit or coefficient that is not among the *names* of each fit."""
-    for goal in goals:
-        if goal.fit and goal.fit not in names:
-            raise ConfigError(f"--until: no fit '{goal.fit}'", hint=nearest(goal.fit, names))
-        coefficients = names[goal.fit] if goal.fit else [name for listed in names.values() for name in listed]
-        if goal.name not in coefficients:
-            raise ConfigError(f"--until: no coefficient '{goal.name}'", hint=nearest(goal.name, coefficients))
-
-
 @dataclass
 class Watch:
     """What follows the samples of *channels* for the fits of *settings*, until its *goals* are reached."""
@@ -451,6 +437,23 @@ class Watch:
     goals: Sequence[Goal] = ()
     averages: int = field(default=0, init=False)
     updates: list[Update] = field(default_factory=list, init=False)
+
+    def check_goals(self, names: Mapping[str, Sequence[str]]) -> None:
+        """ConfigError for a goal on a fit or coefficient that is not among the *names* of each fit, or on an
+        expanded uncertainty of another coverage than that of the intervals that are followed.
+        """
+        for goal in self.goals:
+            if goal.fit and goal.fit not in names:
+                raise ConfigError(f"--until: no fit '{goal.fit}'", hint=nearest(goal.fit, names))
+            of_fits = [goal.fit] if goal.fit else list(names)
+            coefficients = [name for fit in of_fits for name in names[fit]]
+            if goal.name not in coefficients:
+                hint = nearest(goal.name, coefficients)
+                raise ConfigError(f"--until: no coefficient '{goal.name}'", hint=hint)
+            for fit in self.settings:
+                if goal.width == WIDTHS[0] and fit.name in of_fits and fit.coverage != FitSettings.coverage:
+                    what = f"identify.{fit.name}: coverage {100 * fit.coverage:g} % is not followed"
+                    raise ConfigError(what, hint=f"a goal on {goal.name}.std_error, or coverage: 95 %")
 
     @property
     def what(self) -> str:

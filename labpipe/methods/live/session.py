@@ -18,7 +18,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
-from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, check_names, lasting
+from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, lasting
 from labpipe.methods.live.sources import Folder, Frames, Kept, SampleStream, is_old
 from labpipe.project.ingest import SAME_RATE, Calibration, channel_screen
 from labpipe.project.measured import measurement
@@ -138,7 +138,7 @@ class WholeFits(Watch):
         except LabpipeError as error:
             findings = [Finding("not-yet", error.what)]
         else:
-            check_names(self.goals, {fit.name: [p.name for p in fit.parameters] for fit in fits})
+            self.check_goals({fit.name: [p.name for p in fit.parameters] for fit in fits})
             decays = result.decays if isinstance(result, FreeDecays) else ()
             counted = len(decays) or getattr(result, "averages", 0)
             self.averages = int(counted or round(seconds / (self.frf.period or 1.0)))

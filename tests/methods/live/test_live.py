@@ -368,6 +368,15 @@ def test_a_rule_on_what_there_is_not_is_refused(bench, labpipe, rule, word):
     assert refused.code == 2 and word in refused.err
 
 
+def test_goals_are_on_intervals_of_95_per_cent(bench, labpipe):
+    write_csv(bench / "test.csv", samples(6))
+    asked = ("--set", "identify.s.coverage=99 %", "--idle", "0.3", "--until")
+    refused = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", *asked, "k.expanded<=1%")
+    assert refused.code == 2 and "identify.s: coverage 99 % is not followed" in refused.err
+    ended = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", *asked, "k.std_error<=1%")
+    assert ended.code == 0
+
+
 def test_a_run_that_the_virtual_rig_does_not_have_is_refused(root, labpipe):
     simulated = ("--simulate", root / "configs/virtual-hmb.yaml", "--run", "pedestl")
     refused = labpipe("live", root / "pipelines/pedestal.yaml", *simulated)

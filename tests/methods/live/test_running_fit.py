@@ -108,7 +108,7 @@ def test_estimates_and_monitors_of_an_independent_calculation():
         before = fit.update(sums)
         if number in GOLDEN:
             relative = [*before.values / TRUTH, *before.std_error / TRUTH]
-            half = half_of_noise(before.std_error, before.dof, 0.95)
+            half = half_of_noise(before.std_error, before.dof)
             stated = [*relative, *before.dof, *half / TRUTH, before.reduced]
             np.testing.assert_allclose(stated, GOLDEN[number], rtol=3e-5)
 
@@ -119,7 +119,7 @@ def test_wanted_5_percent_k_is_enough_after_8_periods_and_c_after_9():
         sums.of(0).add(z)
         if sums.of(0).n >= 2:
             estimate = fit.update(sums)
-            halves = half_of_noise(estimate.std_error, estimate.dof, 0.95)
+            halves = half_of_noise(estimate.std_error, estimate.dof)
             for name, value, half in zip("kc", estimate.values, halves, strict=False):
                 if estimate.judged and half <= 0.05 * value:
                     enough.setdefault(name, sums.of(0).n)
@@ -177,19 +177,19 @@ def test_forecast_of_noise_alone_is_the_square_of_the_widths():
     for z in stream(3, 10):
         sums.of(0).add(z)
     estimate = fit.update(sums)
-    half = half_of_noise(estimate.std_error, estimate.dof, 0.95)[0]
-    ahead = forecast(estimate, 0, half / 2, 0.95)
+    half = half_of_noise(estimate.std_error, estimate.dof)[0]
+    ahead = forecast(estimate, 0, half / 2)
     # Four times as many averages but for the degrees of freedom, which make them fewer.
     assert 36 <= ahead.expected <= 40
     assert ahead.low < ahead.expected < ahead.high
-    assert forecast(estimate, 0, half, 0.95).expected == 10
-    assert forecast(estimate, 0, 0.0, 0.95).expected is None
+    assert forecast(estimate, 0, half).expected == 10
+    assert forecast(estimate, 0, 0.0).expected is None
 
 
 def test_a_coefficient_near_zero_has_a_forecast_without_a_latest_end():
     """Its relative error is without bound, and so is the upper end of when a goal is reached."""
     noise = {"std_error": np.array([1.0]), "dof": np.array([100.0]), "values": np.array([1e-9])}
-    ahead = forecast(SimpleNamespace(n=5, **noise), 0, 0.5, 0.95)
+    ahead = forecast(SimpleNamespace(n=5, **noise), 0, 0.5)
     # The half-width of 5 averages is 2.0, a quarter takes 16 times as many; t and its widening add little.
     assert ahead.expected is not None and 60 < ahead.expected < 100
     assert ahead.low == 6 and ahead.high is None
