@@ -96,9 +96,11 @@ def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tupl
     )
 
 
-def mask_findings(bands: Sequence[tuple[float, float]]) -> tuple[Finding, ...]:
-    """A note on the excluded bands."""
-    if not bands:
-        return ()
-    named = ", ".join(f"{low:.6g}-{high:.6g} Hz" for low, high in bands)
-    return (note("masked", f"lines of the shaft speed are left out: {named}"),)
+def mask_findings(
+    bands: Sequence[tuple[float, float]], of: tuple[float, float] | None
+) -> tuple[Finding, ...]:
+    """A note on the masked *bands* [Hz] in the band *of* the response, None for all of it."""
+    least, most = of or (0.0, np.inf)
+    named = ", ".join(f"{low:.6g}-{high:.6g} Hz" for low, high in bands if low <= most and high >= least)
+    what = f"lines of the shaft speed are left out: {named}" if named else "the band has no line of the shaft"
+    return (note("masked", what),) if bands else ()

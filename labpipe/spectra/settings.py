@@ -236,11 +236,21 @@ class FrfSettings(Settings):
             raise SettingError("windowed", what, "leave out impact.decay: the data have their window already")
         self._check_local()
         self._check_result()
+        self._check_bands()
         if self.settle is not None and self.settle < 0:
             raise SettingError("settle", "'settle' must not be negative")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
             what = f"'mask' needs its 'width' with {self.excitation}"
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
+
+    def _check_bands(self) -> None:
+        """Lines of the shaft join what is excluded; they may lie anywhere."""
+        if not (self.exclude and self.band) or self.mask is not None or self.remove is not None:
+            return
+        low, high = self.band
+        if all(last < low or first > high for first, last in self.exclude):
+            what = f"'exclude' leaves nothing out of the band of {low:g} to {high:g} Hz"
+            raise SettingError("exclude", what, "leave it out, or mend its unit")
 
     def _check_keys(self) -> None:
         given = [

@@ -361,7 +361,7 @@ def without_shaft(
     remove, masked = settings.remove, masked_bands(sources, settings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *masked))
     if remove is None:
-        return list(sources), settings, mask_findings(masked)
+        return list(sources), settings, mask_findings(masked, settings.band)
     resting = [at_rest(source, remove) for source in sources]
     findings = [
         note(
@@ -384,7 +384,7 @@ def without_shaft(
             bands |= dict.fromkeys(without.bands)
             findings.extend(without.findings)
     settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
-    return cleaned, settings, (*mask_findings(masked), *findings)
+    return cleaned, settings, (*mask_findings(masked, settings.band), *findings)
 
 
 def lines_of_shaft(

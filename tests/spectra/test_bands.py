@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import DataError
-from labpipe.spectra.bands import line_range, lines_in
+from labpipe.spectra.bands import line_range, lines_in, mask_findings
 
 FREQUENCY = np.arange(1, 11) * 0.1
 
@@ -31,6 +31,14 @@ def test_line_range_leaves_the_mean_value_out(
 ) -> None:
     lines = line_range(100, 100.0, band)
     assert (lines.start, lines.stop - 1) == (first, last)
+
+
+def test_the_note_on_masked_lines_names_those_of_the_band() -> None:
+    bands = [(49.0, 51.0), (99.0, 101.0), (149.0, 151.0)]
+    (some,), (none,) = mask_findings(bands, (60.0, 100.0)), mask_findings(bands, (60.0, 90.0))
+    assert some.message == "lines of the shaft speed are left out: 99-101 Hz"
+    assert none.message == "the band has no line of the shaft"
+    assert mask_findings(bands, None)[0].message.count("Hz") == 3 and mask_findings([], None) == ()
 
 
 def test_an_odd_number_of_samples_has_no_line_at_half_the_rate() -> None:
