@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from scipy.io.matlab import MatlabOpaque
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import may_agree
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, distinct, is_numeric, rate_of
@@ -81,9 +82,41 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
+# What a data set states of its numbers by the CF conventions of NetCDF.
+_SCALE, _OFFSET, _FILL = "scale_factor", "add_offset", "_FillValue"
+
+
+class Scaled:
+    """A data set of packed numbers: scale_factor times each plus add_offset, NaN at _FillValue."""
+
+    def __init__(self, item: h5py.Dataset) -> None:
+        self._item, self.attrs, self.shape, self.size = item, item.attrs, item.shape, item.size
+        self.dtype = np.dtype(np.float64)
+        numbers = {
+            name: np.asarray(self.attrs[name]) for name in (_SCALE, _OFFSET, _FILL) if name in self.attrs
+        }
+        for name, number in numbers.items():
+            if number.size != 1 or number.dtype.kind not in "iuf":
+                raise ValueError(f"{name} of {item.name} is no number")
+        self._numbers = {name: number.item() for name, number in numbers.items()}
+
+    def __getitem__(self, where: Any) -> FloatArray:
+        stored = np.asarray(self._item[where])
+        values: FloatArray = stored * float(self._numbers.get(_SCALE, 1)) + float(
+            self._numbers.get(_OFFSET, 0)
+        )
+        return np.where(stored == self._numbers[_FILL], np.nan, values) if _FILL in self._numbers else values
+
+
+def _unpacked(item: h5py.Dataset) -> Any:
+    """The data set, Scaled where it states how its numbers are."""
+    packed = item.dtype.kind in "iuf" and any(name in item.attrs for name in (_SCALE, _OFFSET, _FILL))
+    return Scaled(item) if packed else item
+
+
 def _value(file: h5py.File, item: h5py.Dataset) -> Any:
     kind = item.attrs.get("MATLAB_class", b"")
-    raw = item[()]
+    raw = _unpacked(item)[()]
     if kind == b"char":
         return np.array("".join(map(chr, np.asarray(raw).T.ravel())))
     if h5py.check_ref_dtype(item.dtype) is not None:
@@ -352,12 +385,10 @@ def _numeric_sets(file: h5py.File) -> dict[str, Any]:
         is_text = attributes.get("MATLAB_class", b"") in (b"char", b"cell")
         # Of an object there are only numbers that say where it lies.
         is_text = is_text or "MATLAB_object_decode" in attributes
-        if isinstance(item, h5py.Dataset) and not name.startswith("#") and not is_text:
-            if item.shape == ():
-                if item.dtype.kind in "iuf":
-                    sets[name] = item
-            elif item.shape and is_numeric(item):
-                sets[name] = item
+        if not isinstance(item, h5py.Dataset) or name.startswith("#") or is_text:
+            return
+        if item.dtype.kind in "iuf" if item.shape == () else item.shape and is_numeric(item):
+            sets[name] = _unpacked(item)
 
     file.visititems(add)
     return sets
