@@ -219,7 +219,7 @@ def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, Flo
     if rows.shape[0] < 2 or not np.isfinite(rows).all():
         raise DataError(f"'{names[0]}' lacks numbers, and is not resampled", table.path)
     if time:
-        times, rows = rows[:, 0] * time_scale(time, table.units), rows[:, 1:]
+        times, rows = rows[:, 0] * time_scale(time, table.units, table.path), rows[:, 1:]
         if np.any(np.diff(times) <= 0):
             raise DataError(f"the times of '{names[0]}' do not increase", table.path)
         return times, rows

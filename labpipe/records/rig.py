@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -19,18 +20,24 @@ from labpipe.records.uncertain import Uncertain
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 
 
-def time_scale(column: str | None, units: Mapping[str, str]) -> float:
+# msec, microseconds, and "seconds since 2024-03-01" of HDF5 files.
+_WORDS = (("( since .*| )", ""), ("milli", "m"), ("micro", "u"), ("nano", "n"), ("sec(ond)?s?$", "s"))
+
+
+def time_scale(column: str | None, units: Mapping[str, str], where: Path | str = "") -> float:
     """Seconds per unit of a time column: by the *units* that its file states, else in brackets behind its
-    name; 1 without one.
+    name; 1 without one. DataError for a unit that is none of time.
     """
-    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
-    # msec, microseconds
-    behind = re.sub(r"sec(ond)?s?$", "s", match[1]) if match else "s"
-    unit = units.get(column or "") or behind.replace("milli", "m").replace("micro", "u")
+    behind = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
+    stated = units.get(column or "") or (behind[1] if behind else "s")
+    unit = stated
+    for word, short in _WORDS:
+        unit = re.sub(word, short, unit, flags=re.IGNORECASE)
     try:
         return parse_value(f"1 {unit}", "s")
     except UnitError:
-        return 1.0
+        what, hint = f"'{column}' is in {stated}, no unit of time", "known: s, ms, us, ns, min, h"
+        raise DataError(what, where, f"{hint}; or give sample_rate instead of time") from None
 
 
 @dataclass(frozen=True)
