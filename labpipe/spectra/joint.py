@@ -29,7 +29,7 @@ from labpipe.records.response import Blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
-from labpipe.spectra.random import blocks_of, change_of_random, joined_spectra, welch_average
+from labpipe.spectra.random import blocks_of, change_of_random, levels_of, shares_of, welch_average
 from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
@@ -171,12 +171,12 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         hint = "record longer, or shorten `block`"
         what = f"{averages:.2g} effective averages are too few for the noise of an FRF by references"
         raise DataError(what, hint=hint)
-    matrix = joined_spectra(spectra, whole)[chosen]
+    parts = [part[chosen] for part in shares_of(spectra, whole)]
+    matrix = np.asarray(sum(parts))
     estimate = joint_estimate(matrix, references, n_input, averages)
     findings = _strength_findings(estimate, frequency, settings, layout)
-    covariance = covariance_by_neighbours(
-        frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP
-    )
+    noise = _noise_by_reference(estimate.noise, matrix, parts, [part.averages for part in spectra], n)
+    covariance = covariance_by_neighbours(frequency, estimate.matrix, estimate.columns, noise, GAP)
     open_loop = open_loop_estimate(matrix[:, n:, n:], n_input)
 
     def response_of(part: ComplexArray) -> ComplexArray:
@@ -194,6 +194,27 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         change=change_of_random(halved, whole, chosen, response_of, n + 2),
         open_loop=open_loop,
     )
+
+
+def _noise_by_reference(
+    noise: ComplexArray,
+    spectra: ComplexArray,
+    parts: Sequence[ComplexArray],
+    averages: Sequence[float],
+    n_reference: int,
+) -> list[ComplexArray]:
+    """The *noise* (n_line, n, n) [unit^2/Hz] in what each reference moves: that of every recording at its own
+    level counts by its share in the power of the reference. *parts* (n_line, n_channel, n_channel) of the
+    *spectra*, references first, of so many *averages*.
+    """
+    reference = spectra[:, :n_reference, :n_reference]
+    inverse, white = np.linalg.inv(reference), np.linalg.inv(np.linalg.cholesky(reference))
+    levels = levels_of(parts, spectra[:, n_reference:, :n_reference] @ inverse, inverse, averages)
+    gain = np.zeros((n_reference, *noise.shape))
+    for part, size in zip(parts, np.sqrt(levels.T), strict=True):
+        moved = white @ part[:, :n_reference, :n_reference] @ hermitian(white)
+        gain += np.einsum("lrr,a,b->rlab", moved.real, size, size)
+    return list(noise * gain)
 
 
 def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> None:
