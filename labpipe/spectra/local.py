@@ -73,11 +73,11 @@ def local_polynomials(
     parts = [
         _window_fits(u, y, degree, half_width, blocks_of) for u, y in _pieces(forces, responses, half_width)
     ]
-    matrix, noise, spread, left, coherence, condition, weights = (
+    matrix, noise, spread, left, freedoms, coherence, condition, weights = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     dof = freedom(forces.shape[0], forces.shape[2], degree, half_width)
-    levels = noise_levels(left, blocks_of.mean(axis=0) * dof / (2 * half_width + 1))
+    levels = noise_levels(left, freedoms.mean(axis=0) / (2 * half_width + 1))
     covariance = covariance_of_parts(noise, spread, levels)
     return LocalFit(matrix, covariance, coherence, _correlation(weights[:CORRELATED]), condition, dof)
 
@@ -108,8 +108,8 @@ def _windows(
 def _window_fits(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int, blocks_of: FloatArray
 ) -> tuple[ComplexArray, ...]:
-    """Matrix, noise, spread and power left by recording, coherence, condition, weights (n_line, n_input,
-    n_block, 2 n + 1).
+    """Matrix, noise, spread and power left by recording with its degrees of freedom, coherence, condition,
+    weights (n_line, n_input, n_block, 2 n + 1).
     """
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
@@ -130,7 +130,14 @@ def _window_fits(
     weights = gain.reshape(n_line, n_input, n_block, width)
     spread = np.einsum("libt,ljbt,be->leij", weights, weights.conj(), blocks_of, optimize=True)
     by_block = np.sum(np.abs(residual.reshape(n_line, n_block, width, -1)) ** 2, axis=2)
-    by_recording = by_block.swapaxes(1, 2) @ blocks_of
+    # What a recording leaves is noise of all: least squares follows the one with most of the force.
+    by = columns.reshape(n_line, n_block, width, -1)
+    own = inverse[:, None] @ np.einsum("lbtj,lbtk,be->lejk", by.conj(), by, blocks_of, optimize=True)
+    free, taken = blocks_of.sum(axis=0) * (width - degree - 1), np.einsum("lejj->le", own).real
+    mixed = np.einsum("lejk,lfkj->lef", own, own).real + np.eye(free.size) * (free - 2 * taken)[:, None]
+    freedoms = free - taken
+    alone = np.linalg.solve(mixed, (by_block.swapaxes(1, 2) @ blocks_of).swapaxes(1, 2))
+    by_recording = (alone * freedoms[:, :, None]).swapaxes(1, 2)
     left, whole = np.sum(np.abs(residual) ** 2, axis=1), np.sum(np.abs(y) ** 2, axis=1)
     coherence = 1 - np.divide(left, whole, out=np.ones_like(left), where=whole > 0)
     matrix = (gain @ y).swapaxes(1, 2)
@@ -139,7 +146,7 @@ def _window_fits(
         np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1
     )
     condition = np.maximum(np.linalg.cond(gram), 1 / np.maximum(left_over, 1e-150) ** 2)
-    return matrix, noise, spread, by_recording, coherence, condition, weights
+    return matrix, noise, spread, by_recording, freedoms, coherence, condition, weights
 
 
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
