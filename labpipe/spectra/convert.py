@@ -156,6 +156,11 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
+def is_directional(response: FrequencyResponse) -> bool:
+    """Whether a response is a dFRF, from forces forward and backward to motions forward and backward."""
+    return tuple(port.label for port in (*response.outputs, *response.inputs)) == 2 * FORWARD_BACKWARD
+
+
 def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
     """Rows (cos, sin) of the directions of two ports, (2, 2) [1]. DataError unless there are two known
     directions that differ.
@@ -178,8 +183,7 @@ def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     response]. Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis
     of Rotors, 1993). DataError for a response that is not directional. Equation (frf-two-sided).
     """
-    labels = tuple(port.label for port in (*response.outputs, *response.inputs))
-    if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):
+    if not is_directional(response):
         raise DataError("a two-sided view needs forward and backward terms", hint="directional: true")
     negative = response.matrix[::-1, 1, ::-1].conj()
     return np.concatenate([-response.frequency[::-1], response.frequency]), np.concatenate(
