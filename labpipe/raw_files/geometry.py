@@ -45,9 +45,8 @@ def read_geometry_uff(path: Path) -> Geometry:
             elif number == UNITS:
                 length = real(lines[1].split()[0])
         except (ValueError, IndexError):
-            raise DataError(
-                f"the record {number} cannot be read", path, "numbers are missing, or are none"
-            ) from None
+            what = f"the record {number} cannot be read"
+            raise DataError(what, path, "numbers are missing, or are none") from None
     if not nodes:
         raise DataError("holds no nodes", path, "records 15 or 2411 are needed")
     if not length > 0:

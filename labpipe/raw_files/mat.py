@@ -508,9 +508,8 @@ def write_recording_mat(path: Path, recording: Recording) -> None:
     names = [re.sub(r"\W", "_", channel.name, flags=re.ASCII) for channel in recording.channels]
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:
-        raise DataError(
-            "two channels have the same name in MATLAB", recording.name, "fs and units are reserved"
-        )
+        what = "two channels have the same name in MATLAB"
+        raise DataError(what, recording.name, "fs and units are reserved")
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
     variables |= {"fs": recording.sample_rate, "units": units}

@@ -210,9 +210,8 @@ def open_table(path: Path) -> Table:
         raise DataError("no such file", path)
     suffix = plain_suffix(path)
     if suffix not in READERS.names():
-        raise DataError(
-            f"files with the ending '{suffix}' cannot be read", path, f"known: {', '.join(READERS.names())}"
-        )
+        what = f"files with the ending '{suffix}' cannot be read"
+        raise DataError(what, path, f"known: {', '.join(READERS.names())}")
     if not path.is_file():
         raise DataError("is no regular file", path)
     check_filled(path)

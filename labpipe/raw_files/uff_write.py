@@ -134,10 +134,8 @@ def _points(ports: Iterable[Port]) -> list[UffPoint]:
     points = {port: _point(port, places) for port in all_ports}
     for first, second in itertools.combinations(dict.fromkeys(all_ports), 2):
         if points[first] == points[second] and first.label != second.label:
-            raise DataError(
-                f"'{first.label}' and '{second.label}' have the same name in a universal file",
-                hint="use ten letters at most",
-            )
+            what = f"'{first.label}' and '{second.label}' have the same name in a universal file"
+            raise DataError(what, hint="use ten letters at most")
     return [points[port] for port in all_ports]
 
 

@@ -111,9 +111,8 @@ class RecordedCondition(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.channel) == bool(self.tacho):
-            raise ConfigError(
-                "one of 'channel' and 'tacho' is needed", hint="channel: load_cell, or tacho: key"
-            )
+            what = "one of 'channel' and 'tacho' is needed"
+            raise ConfigError(what, hint="channel: load_cell, or tacho: key")
         if self.pulses < 1:
             raise ConfigError("'pulses' must be at least 1")
 
@@ -187,9 +186,8 @@ class Geometry:
         alone = not point and len(self.names) == 1
         if directed is None or not (alone or point in self.names):
             names = ", ".join(self.names[:MOST_NAMES]) + (", ..." if len(self.names) > MOST_NAMES else "")
-            raise DataError(
-                f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {names}"
-            )
+            what = f"the geometry has no point '{point or dof}', of the dof '{dof}'"
+            raise DataError(what, hint=f"its points: {names}")
         vector = np.zeros(3)
         vector[AXES.index(directed["axis"].lower())] = -1.0 if directed["sign"] == "-" else 1.0
         return (0 if alone else self.names.index(point)), vector

@@ -69,10 +69,8 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
     if size < 0:
         raise UnitError(f"'{text}' has a negative uncertainty")
     if relative and size > MOST_RELATIVE * abs(value):
-        raise UnitError(
-            f"'{size_text}' is more than {MOST_RELATIVE} times the value",
-            "write the uncertainty with its unit",
-        )
+        what = f"'{size_text}' is more than {MOST_RELATIVE} times the value"
+        raise UnitError(what, "write the uncertainty with its unit")
     return _qualify(Uncertain(value, size), qualities)
 
 

@@ -240,9 +240,8 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
             if channel not in members and (channel.role != "input" or channel.terms)
         ]
         if lacking:
-            raise DataError(
-                f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording"
-            )
+            what = f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording"
+            raise DataError(what)
     recorded = [channel for channel in distinct if not channel.terms]
     columns = tuple(
         tuple(source.channels.index(sensor) if sensor in source.channels else -1 for sensor in recorded)
@@ -255,9 +254,8 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
 def _choose(source: SampleSource) -> list[Channel]:
     used = [channel for channel in source.channels if channel.role != "reference"]
     if not any(channel.role == "input" for channel in used):
-        raise DataError(
-            f"recording '{source.name}' has no force (role: input)", hint="see the channels of the rig file"
-        )
+        what = f"recording '{source.name}' has no force (role: input)"
+        raise DataError(what, hint="see the channels of the rig file")
     members = {term.channel for channel in used for term in channel.terms}
     missing = members - {channel.name for channel in source.channels}
     if missing:

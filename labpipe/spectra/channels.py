@@ -71,10 +71,8 @@ def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[in
     sample, column = (int(n) for n in missing[0])
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
     hint = "labpipe does not fill gaps; cut the recording there or record it again"
-    raise DataError(
-        f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}",
-        hint=hint,
-    )
+    what = f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}"
+    raise DataError(what, hint=hint)
 
 
 FORCE = "force"

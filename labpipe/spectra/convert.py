@@ -62,10 +62,8 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
     for name in (form, response.form):
         receptance_factor(name, response.frequency[:0])
     if order < 0 and response.frequency[0] == 0:
-        raise DataError(
-            f"the line at 0 Hz of a {response.form} cannot be converted to {form}",
-            hint="begin the band above 0 Hz",
-        )
+        what = f"the line at 0 Hz of a {response.form} cannot be converted to {form}"
+        raise DataError(what, hint="begin the band above 0 Hz")
     factor = ((2j * np.pi * response.frequency) ** order)[:, None, None]
     covariance, distortion = response.covariance, response.distortion
     return dataclasses.replace(

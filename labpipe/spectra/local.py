@@ -267,10 +267,8 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     frequency = np.arange(1, blocks.shape[1] + 1) * (rate / n_sample)
     inner = frequency[half_width:-half_width]
     if not inner.size:
-        raise DataError(
-            f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}",
-            hint="lengthen `block`",
-        )
+        what = f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}"
+        raise DataError(what, hint="lengthen `block`")
     chosen = np.flatnonzero(lines_left(inner, settings))
     first, last = int(chosen[0]), int(chosen[-1]) + 1
     around = slice(first, last + 2 * half_width)
@@ -314,9 +312,8 @@ def check_half_width(half_width: int, n_block: int, n_input: int, degree: int, n
     """DataError for a half width that leaves the noise unknown, beside *n_pole* poles of the FRF."""
     if freedom(n_block, n_input, degree, half_width) - n_pole < LEAST_DOF:
         least = n_pole + usual_half_width(n_block, n_input, degree)
-        raise DataError(
-            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
-        )
+        what = f"half_width: {half_width} leaves the noise unknown"
+        raise DataError(what, hint=f"{least} or more, or leave it out")
 
 
 def _spectra(source: SampleSource, block: float) -> ComplexArray:

@@ -63,10 +63,8 @@ def samples_per_period(period: float, sample_rate: float) -> int:
     n_sample = round(exact)
     if n_sample < 2 or abs(exact - n_sample) > 1e-6 * exact:
         hint = f"the nearest period that does is {max(n_sample, 2) / sample_rate:.9g} s"
-        raise ConfigError(
-            f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number",
-            hint=hint,
-        )
+        what = f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number"
+        raise ConfigError(what, hint=hint)
     return n_sample
 
 

@@ -127,9 +127,8 @@ def settle_time(courses: Sequence[Course]) -> float:
     (frf-settle).
     """
     if not courses:
-        raise DataError(
-            f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`"
-        )
+        what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
+        raise DataError(what, hint="state `settle`")
     longest = max(float(course.times[-1]) for course in courses)
     edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
     time, excess, error = _bin_means(courses, edges)
@@ -364,10 +363,8 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
             f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, "
             f"{needed:.3g} s are needed"
         )
-        raise DataError(
-            f"{what}: {settling.responses:.3g} s for its transient, then periods",
-            hint="longer dwells, or state `settle`; a slow sweep has none",
-        )
+        hint = "longer dwells, or state `settle`; a slow sweep has none"
+        raise DataError(f"{what}: {settling.responses:.3g} s for its transient, then periods", hint=hint)
     rough = samples[start : start + round(n_period / dwell.frequency)]
     period = round(1 / dwell.frequency)
     steady = samples[dwell.start + settling.samples(settling.force, dwell, rate) : dwell.stop - period, force]
@@ -417,7 +414,6 @@ def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], i
         if len(row) == len(recordings):
             rows.append(row)
     if not rows:
-        raise DataError(
-            "the recordings dwell at no frequency in common", hint="the same steps in every force direction"
-        )
+        what = "the recordings dwell at no frequency in common"
+        raise DataError(what, hint="the same steps in every force direction")
     return rows, sum(len(lines) for lines in recordings) - len(rows) * len(recordings)

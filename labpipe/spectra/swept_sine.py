@@ -99,10 +99,8 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     n_input = len(layout.inputs)
     if len(sweeps) < n_input:
         names = ", ".join(port.label for port in layout.inputs)
-        raise DataError(
-            f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})",
-            hint="one sweep or more for each force",
-        )
+        what = f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})"
+        raise DataError(what, hint="one sweep or more for each force")
     n_sample = _common_length(swept)
     blocks = np.concatenate(
         [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
@@ -237,10 +235,8 @@ def _without_leakage(
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
     leaking = _leaks(spectra.select(is_determined))
     if leaking and np.count_nonzero(is_determined) < 2:
-        raise DataError(
-            "the responses ring on at the ends of the record, and no line can be told from that",
-            hint="pauses between sweeps",
-        )
+        what = "the responses ring on at the ends of the record, and no line can be told from that"
+        raise DataError(what, hint="pauses between sweeps")
     taken = is_determined & leaking
     blocks = spectra.blocks.copy()
     blocks[:, taken, n_input:] -= local.leakage[taken].swapaxes(0, 1)

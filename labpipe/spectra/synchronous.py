@@ -80,9 +80,8 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
-        raise DataError(
-            f"recording '{source.name}' is shorter than two revolutions", hint="give the speed in Hz or rpm"
-        )
+        what = f"recording '{source.name}' is shorter than two revolutions"
+        raise DataError(what, hint="give the speed in Hz or rpm")
     amplitude = _harmonics(source, motion, lines.harmonics)
     if lines.speed is not None:
         refined = steady(_refined(source, lines.speed), duration)

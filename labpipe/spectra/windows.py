@@ -62,10 +62,8 @@ def window_values(name: str, n_sample: int) -> FloatArray:
         if not np.sum(values) > 0:
             raise ValueError
     except (ValueError, TypeError):
-        raise ConfigError(
-            f"unknown window '{name}'",
-            hint="for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'",
-        ) from None
+        hint = "for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'"
+        raise ConfigError(f"unknown window '{name}'", hint=hint) from None
     return values
 
 
