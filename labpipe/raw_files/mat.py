@@ -82,8 +82,8 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
-# What a data set states of its numbers by the CF conventions of NetCDF.
-_SCALE, _OFFSET, _FILL = "scale_factor", "add_offset", "_FillValue"
+# What a data set states of packed numbers by the CF conventions of NetCDF, and what holds without.
+PACKED = {"scale_factor": 1.0, "add_offset": 0.0, "_FillValue": math.nan}
 
 
 class Scaled:
@@ -92,26 +92,19 @@ class Scaled:
     def __init__(self, item: h5py.Dataset) -> None:
         self._item, self.attrs, self.shape, self.size = item, item.attrs, item.shape, item.size
         self.dtype = np.dtype(np.float64)
-        numbers = {
-            name: np.asarray(self.attrs[name]) for name in (_SCALE, _OFFSET, _FILL) if name in self.attrs
-        }
-        for name, number in numbers.items():
+        numbers = [np.asarray(item.attrs.get(name, otherwise)) for name, otherwise in PACKED.items()]
+        for name, number in zip(PACKED, numbers, strict=True):
             if number.size != 1 or number.dtype.kind not in "iuf":
                 raise ValueError(f"{name} of {item.name} is no number")
-        self._numbers = {name: number.item() for name, number in numbers.items()}
+        self._scale, self._offset, self._fill = (float(number.item()) for number in numbers)
 
     def __getitem__(self, where: Any) -> FloatArray:
-        stored = np.asarray(self._item[where])
-        values: FloatArray = stored * float(self._numbers.get(_SCALE, 1)) + float(
-            self._numbers.get(_OFFSET, 0)
-        )
-        return np.where(stored == self._numbers[_FILL], np.nan, values) if _FILL in self._numbers else values
+        stored = np.asarray(self._item[where], np.float64)
+        return np.where(stored == self._fill, np.nan, stored * self._scale + self._offset)
 
 
 def _unpacked(item: h5py.Dataset) -> Any:
-    """The data set, Scaled where it states how its numbers are."""
-    packed = item.dtype.kind in "iuf" and any(name in item.attrs for name in (_SCALE, _OFFSET, _FILL))
-    return Scaled(item) if packed else item
+    return Scaled(item) if item.dtype.kind in "iuf" and not PACKED.keys().isdisjoint(item.attrs) else item
 
 
 def _value(file: h5py.File, item: h5py.Dataset) -> Any:

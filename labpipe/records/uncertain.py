@@ -136,9 +136,9 @@ class Uncertainty:
     shape: str = "normal"
 
 
-def uncertainty_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Uncertainty:
-    """The uncertainty of a number times *scale* [-], by its own source where it names one, else *source*."""
-    return Uncertainty(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
+def uncertainty_of(number: Uncertain, source: str, unit: str) -> Uncertainty:
+    """The uncertainty of a number, by its own source where it names one, else *source*."""
+    return Uncertainty(number.source or source, number.std_error, unit, number.dof, number.shape)
 
 
 @dataclass(frozen=True)
