@@ -193,9 +193,8 @@ def _function(
 
 def _is_even_as_printed(abscissa: FloatArray) -> bool:
     first, step = (float(f"{value:.5e}") for value in (abscissa[0], abscissa[1] - abscissa[0]))
-    return bool(
-        np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa)) <= _EVEN * np.max(np.abs(abscissa))
-    )
+    off = np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa))
+    return bool(off <= _EVEN * np.max(np.abs(abscissa)))
 
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:

@@ -1,11 +1,6 @@
 """Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free of
-noise.
-
-All channels under periodic excitation: averages over periods, and their covariance from the scatter between
-periods.
-
-Weights by a covariance of few degrees of freedom lose efficiency: noise is pooled over runs where these
-agree, and over neighbouring lines.
+noise. That of periods is pooled over runs that agree, and over neighbouring lines: weights by few degrees of
+freedom lose efficiency.
 """
 
 from __future__ import annotations

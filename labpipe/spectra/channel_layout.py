@@ -1,8 +1,5 @@
 """Which channels of several recordings stand in the spectra, how sums are made of them, and what their
-uncertainties do to an FRF: those of the numbers in a sum, and of the calibration of its members.
-
-An output y_o = sum a_m x_m changes by da x_m, its row of H by da G_m, G_m = x_m / u; a force by da G_m u, so
-that H changes by -H e_i da G_m. All to first order in the error.
+uncertainties (numbers in a sum, calibrations of its members) do to an FRF, to first order.
 """
 
 from __future__ import annotations

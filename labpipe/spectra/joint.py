@@ -1,16 +1,6 @@
 """Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes
-of forces and responses.
-
-Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of that
-line in a fit.
-
-The variance S_ww / |U|^2 of a line is small where noise made |U| large; in a loop that noise is w = Y - G U
-fed back, so that weights by it prefer errors of one sign. Therefore G is taken from the neighbours of the
-line, and U as what is most likely if that G is right.
-
-H1 and G by the reference, S_yr S_ur^-1, are on the page of theory on responses (Ljung, System Identification,
-1999, chapter 13). Periodic data need no other average: what the periods share is due to r, and the covariance
-of force and response together holds what v makes of both.
+of forces and responses (Ljung, System Identification, 1999, chapter 13), with a covariance that does not know
+the error of its own line. docs/pages/theory/response.md says why.
 """
 
 from __future__ import annotations
@@ -203,9 +193,8 @@ def _noise_by_reference(
     averages: Sequence[float],
     n_reference: int,
 ) -> list[ComplexArray]:
-    """The *noise* (n_line, n, n) [unit^2/Hz] in what each reference moves: that of every recording at its own
-    level counts by its share in the power of the reference. *parts* (n_line, n_channel, n_channel) of the
-    *spectra*, references first, of so many *averages*.
+    """The *noise* (n_line, n, n) [unit^2/Hz] in what each reference moves: that of every recording by its
+    share in the reference's power. *parts* of the *spectra* (n_line, n_channel, n_channel), references first.
     """
     reference = spectra[:, :n_reference, :n_reference]
     inverse, white = np.linalg.inv(reference), np.linalg.inv(np.linalg.cholesky(reference))

@@ -1,10 +1,6 @@
 """Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of
-frequency.
-
-Local rational method: the FRF has a pole of its own, so that sharp resonances leave nothing. A(r) Y(k + r) =
-B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th IFAC Symposium on
-System Identification, "Non-parametric frequency response estimation using a local rational model"; here
-linear in its coefficients).
+frequency, of the latter with a pole (McKelvey and Guérin 2012, 16th IFAC Symposium on System Identification;
+here linear in its coefficients).
 """
 
 from __future__ import annotations

@@ -169,9 +169,8 @@ def _refuse_lines(acting: BoolArray) -> None:
     if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
         what = "no line is excited by all forces independently: their lines are interleaved"
         raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    raise DataError(
-        "no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level"
-    )
+    hint = "check `period` and `band`, or raise the level"
+    raise DataError("no line of the force exceeds its noise", hint=hint)
 
 
 def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:

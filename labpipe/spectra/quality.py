@@ -137,10 +137,10 @@ def partial_coherence(
     inverse_force: FloatArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray
 ) -> FloatArray:
     """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output,
-    n_input) [1]. gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that
-    output (Bendat and Piersol, Random Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu =
-    S_uu^-1 + q H1^H H1 with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1, (n_frequency,
-    n_input) [Hz/N^2]; the other arguments as in multiple_coherence. Equation (frf-partial-coherence).
+    n_input) [1]: of the inverse Q of the spectra of all forces and that output, by blocks Q_yu = -q H1 and
+    Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1,
+    (n_frequency, n_input) [Hz/N^2]; the other arguments as in multiple_coherence. Equation
+    (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained_power(h1, s_yu)
     explained = _square(h1)

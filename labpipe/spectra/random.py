@@ -155,7 +155,7 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
 
 
 def shares_of(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
-    """What each recording adds to `joined_spectra`."""
+    """What each recording adds to joined_spectra, of the same shape [unit^2/Hz]."""
     n_block = sum(spectrum.n_block for spectrum in spectra)
     return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
@@ -303,7 +303,7 @@ def levels_of(
     inverse_force: ComplexArray,
     averages: Sequence[float],
 ) -> FloatArray:
-    """Noise in every recording over that of all (n_output, n_recording); *parts* (n_line, n_channel,
+    """Noise in every recording over that of all (n_output, n_recording) [1]; *parts* (n_line, n_channel,
     n_channel) of the spectra.
     """
     n_input = response.shape[2]

@@ -1,9 +1,5 @@
-"""All channels under random excitation: what is due to each recorded drive, and how far noise covers the
-rest.
-
-With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since
-the drives hold none of the sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over
-the number of averages, is independent from column to column.
+"""All channels under random excitation: what is due to each recorded drive, which holds none of the
+sensors' noise, and how far noise covers the rest.
 """
 
 from __future__ import annotations

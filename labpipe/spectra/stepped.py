@@ -121,10 +121,8 @@ class Course:
 
 def settle_time(courses: Sequence[Course]) -> float:
     """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
-    where none is seen. What exceeds the noise, summed over dwells and channels, S_1 exp(-2 (t - t_1) / tau),
-    is seen up to t_1 and continued from there; of a/s standard deviations of a block a tau / (n T) is left in
-    the mean of n. DataError when the transient outlasts the dwells, and without a dwell. Equation
-    (frf-settle).
+    where none is seen: the excess over the noise is continued from where it is last seen. DataError when the
+    transient outlasts the dwells, and without a dwell. Equation (frf-settle).
     """
     if not courses:
         what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
@@ -339,7 +337,7 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
 
 
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """When the force alone is steady [s]: it gives the frequency, the more exactly the longer it is."""
+    """When the force alone is steady [s]: it gives the frequency."""
     try:
         return settle_time([Course(course.times, course.values[:, :1]) for course in courses])
     except DataError:

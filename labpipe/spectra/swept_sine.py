@@ -330,8 +330,7 @@ def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray, degree: int) -
     forces, responses = channels[:, :n_input], channels[:, n_input:]
     inverse = force_inverse(forces, layout)
     matrix = responses @ inverse
-    # A block of most of the force leaves little beside what is common to all, whatever its level: of noise s
-    # (n_block,) is left (free - 2 shared diag(P) + shared |P|^2) s.
+    # Of noise s (n_block,) beside what is common to all (free - 2 shared diag(P) + shared |P|^2) s is left.
     projection = inverse @ forces
     leverage, free = np.einsum("lbb->lb", projection).real, local.width - degree - 1
     shared = (n_block * free - local.dof) / n_input

@@ -1,8 +1,4 @@
-"""Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage.
-
-Leakage of H1 by the spectrum of the window alone, of a force with a smooth spectrum: E[S_yu] / E[S_uu] =
-sum |W(w - v)|^2 H(v) / sum |W|^2.
-"""
+"""Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def test_the_line_at_0_hz_can_be_differentiated_but_not_integrated() -> None:
 
 
 @pytest.mark.parametrize("form", ["receptance", "mobility", "accelerance"])
-def test_the_matrix_inverse_is_the_dynamic_stiffness(form: str) -> None:
+def test_dynamic_stiffness_is_the_matrix_inverse(form: str) -> None:
     stiffness = np.linalg.inv(convert(convert(rotor(ANISOTROPIC), form), "receptance").matrix)
     expected = ANISOTROPIC + (1j * OMEGA * DAMPING - OMEGA**2 * MASS)[:, None, None] * np.eye(2)
     np.testing.assert_allclose(stiffness, expected, rtol=1e-9, atol=1e-6)
