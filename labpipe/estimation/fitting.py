@@ -43,7 +43,7 @@ from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 from labpipe.records.uncertain import Uncertainty
 from labpipe.spectra.bands import EDGE, lines_in
-from labpipe.spectra.convert import FormView
+from labpipe.spectra.convert import FormView, is_directional
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
 
 Band = tuple[float, float]
@@ -128,6 +128,9 @@ def fit_linear(
     response: FrequencyResponse, settings: FitSettings, *, judging: bool = True
 ) -> tuple[Fit, ...]:
     """Fits of a model linear in its parameters, one per band; *judging* as for `identify`."""
+    if is_directional(response) and not settings.kind.one_frf:
+        what = f"model {settings.model} is of directions, not of forward and backward terms"
+        raise ConfigError(what, hint="leave `directional` out of frf")
     rows, columns = select_ports(response, settings.input, settings.output)
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)

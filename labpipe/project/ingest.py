@@ -151,8 +151,11 @@ def _check_rate(table: Table, rig: Rig) -> None:
     for name in named_times(table) if stated else ():
         if table.columns.count(name) > 1 or name not in table.units:
             continue
-        first = next(iter(table.chunks([name])), np.zeros((1, 1)))
-        times = first[:, 0] * time_scale(name, table.units)
+        try:
+            scale = time_scale(name, table.units)
+        except DataError:
+            continue
+        times = next(iter(table.chunks([name])), np.zeros((1, 1)))[:, 0] * scale
         steps = np.diff(times) if times.size > 1 else np.zeros(1)
         both = np.array([steps.mean(), np.median(steps)])
         if np.all(both > 0) and np.all(np.abs(both * stated - 1) > ANOTHER_RATE):

@@ -5,6 +5,7 @@ what is wrong with it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -151,8 +152,9 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{rate:g} Hz"
         elif time is not None:
             per_unit = time.sample_rate()
-            rate = per_unit / time_scale(times[0], table.units)
             rate_text = f"{per_unit:g} samples per unit of '{times[0]}'"
+            with suppress(DataError):
+                rate = per_unit / time_scale(times[0], table.units)
     except DataError as error:
         error.where = error.where or str(file)
         raise

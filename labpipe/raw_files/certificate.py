@@ -118,9 +118,12 @@ def _of_xml(content: bytes, name: str) -> Certificate:
         if end < begin:
             raise UnitError("its calibration ends before it begins")
         valid_until, refused = _validity(administrative, end)
+        items = _only(administrative, "items")
+        if items.find(f"{DCC}item") is None:
+            raise UnitError("'items' has no 'item'")
         return Certificate(
             number=number,
-            serials=tuple(_serials(_only(administrative, "items"))),
+            serials=tuple(map(_text, items.iterfind(f".//{DCC}identification/{DCC}value"))),
             valid_until=valid_until,
             quantities=tuple(_quantities(_only(root, "measurementResults"))),
             refused=refused,
@@ -224,13 +227,6 @@ def _after(day: datetime.date, period: str) -> datetime.date:
         return datetime.date(month // 12, month % 12 + 1, min(day.day, last)) + datetime.timedelta(days)
     except (ValueError, OverflowError):
         raise UnitError(f"the period '{period}' is too long") from None
-
-
-def _serials(items: ET.Element) -> Iterator[str]:
-    if items.find(f"{DCC}item") is None:
-        raise UnitError("'items' has no 'item'")
-    for value in items.iterfind(f".//{DCC}identification/{DCC}value"):
-        yield _text(value)
 
 
 def _quantities(results: ET.Element) -> Iterator[CertifiedQuantity]:

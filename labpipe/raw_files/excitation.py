@@ -46,14 +46,12 @@ class Multisine:
         if abs(exact - n_sample) > 1e-9 * exact:
             near = n_sample * self.spacing
             hint = f"the nearest sampling rate is {near:g} Hz"
-            raise ConfigError(
-                f"a period of {1 / self.spacing:g} s holds {exact:g} samples, not a whole number", hint=hint
-            )
+            what = f"a period of {1 / self.spacing:g} s holds {exact:g} samples, not a whole number"
+            raise ConfigError(what, hint=hint)
         if 2 * int(self.lines[-1]) >= n_sample:
             highest = self.lines[-1] * self.spacing
-            raise ConfigError(
-                f"lines up to {highest:g} Hz need more than {2 * highest:g} Hz of sampling rate"
-            )
+            what = f"lines up to {highest:g} Hz need more than {2 * highest:g} Hz of sampling rate"
+            raise ConfigError(what)
         period = _period(self.lines, self.phases, n_sample)
         return np.tile(period * self.rms * np.sqrt(2 / self.lines.size), periods)
 
@@ -74,9 +72,8 @@ def design_multisine(
     (Pintelon and Schoukens, System Identification, sec. 4.3.2).
     """
     if leave_out == 1 or leave_out < 0:
-        raise ConfigError(
-            f"leaving one of {leave_out} lines out leaves none", hint="one of 3 or 4 is usual; 0 keeps all"
-        )
+        what = f"leaving one of {leave_out} lines out leaves none"
+        raise ConfigError(what, hint="one of 3 or 4 is usual; 0 keeps all")
     if spacing <= 0 or rms <= 0:
         raise ConfigError("spacing and level must be positive")
     if phases not in PHASES:
@@ -88,10 +85,8 @@ def design_multisine(
     if leave_out:
         lines = np.delete(lines, _left_out(lines.size, leave_out, seed))
     if not lines.size:
-        raise ConfigError(
-            f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz",
-            hint="widen the band or narrow the spacing",
-        )
+        what = f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz"
+        raise ConfigError(what, hint="widen the band or narrow the spacing")
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
 
 

@@ -110,9 +110,8 @@ def _notes(path: Path) -> tuple[str, dict[tuple[str, str], str]]:
             if match := re.match(r"#\s*form\s*[:=]\s*(\w+)", comment.lower()):
                 form = form or match[1]
                 if match[1] not in FORMS:
-                    raise DataError(
-                        f"unknown form '{match[1]}'", f"{path}:{number}", nearest(match[1], FORMS)
-                    )
+                    what = f"unknown form '{match[1]}'"
+                    raise DataError(what, f"{path}:{number}", nearest(match[1], FORMS))
             elif match := re.match(r"#\s*(response|force) (.+) in (.+)", comment):
                 dofs[match[1], match[2]] = match[3]
     return form or "receptance", dofs

@@ -45,9 +45,8 @@ def read_geometry_uff(path: Path) -> Geometry:
             elif number == UNITS:
                 length = real(lines[1].split()[0])
         except (ValueError, IndexError):
-            raise DataError(
-                f"the record {number} cannot be read", path, "numbers are missing, or are none"
-            ) from None
+            what = f"the record {number} cannot be read"
+            raise DataError(what, path, "numbers are missing, or are none") from None
     if not nodes:
         raise DataError("holds no nodes", path, "records 15 or 2411 are needed")
     if not length > 0:
@@ -151,7 +150,10 @@ def read_geometry_csv(path: Path) -> Geometry:
             [_coordinate(cells.get(axis, "0"), columns.get(axis, ""), f"{path}:{number}") for axis in AXES]
         )
         joined += [(number, len(names) - 1, other) for other in cells.get(JOINED, "").split()]
-    pairs = [(point, _number_of(other, names, f"{path}:{number}")) for number, point, other in joined]
+    for number, _, other in joined:
+        if other not in names:
+            raise DataError(f"there is no point '{other}' to draw a line to", f"{path}:{number}")
+    pairs = [(point, names.index(other)) for _, point, other in joined]
     return Geometry(
         tuple(names), np.array(positions, float).reshape(-1, 3), np.array(pairs, int).reshape(-1, 2)
     )
@@ -182,12 +184,6 @@ def _coordinate(text: str, unit: str, where: str) -> float:
         return parse_value(f"{value!r} {unit or 'm'}", "m")
     except UnitError as error:
         raise DataError(error.what, where, error.hint) from None
-
-
-def _number_of(point: str, names: Sequence[str], where: str) -> int:
-    if point not in names:
-        raise DataError(f"there is no point '{point}' to draw a line to", where)
-    return names.index(point)
 
 
 GEOMETRY_FILE = FileKind(read_geometry)

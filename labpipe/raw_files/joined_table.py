@@ -179,11 +179,8 @@ class ResampledTable:
             times, rows = _times_and_rows(table, names)
             rate = (times.size - 1) / (times[-1] - times[0])
             if rate > self.sample_rate * (1 + SAME_RATE):
-                raise DataError(
-                    f"'{names[0]}' is sampled at {rate:g} Hz, above resample: {self.sample_rate:g} Hz",
-                    self.path,
-                    f"resample: {rate:g} Hz keeps all of it",
-                )
+                what = f"'{names[0]}' is sampled at {rate:g} Hz, above resample: {self.sample_rate:g} Hz"
+                raise DataError(what, self.path, f"resample: {rate:g} Hz keeps all of it")
             self._rates[number] = rate
             splines[number] = CubicSpline(times, rows, axis=0), names
             ends.append((times[0], times[-1]))
@@ -219,7 +216,7 @@ def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, Flo
     if rows.shape[0] < 2 or not np.isfinite(rows).all():
         raise DataError(f"'{names[0]}' lacks numbers, and is not resampled", table.path)
     if time:
-        times, rows = rows[:, 0] * time_scale(time, table.units), rows[:, 1:]
+        times, rows = rows[:, 0] * time_scale(time, table.units, table.path), rows[:, 1:]
         if np.any(np.diff(times) <= 0):
             raise DataError(f"the times of '{names[0]}' do not increase", table.path)
         return times, rows

@@ -97,9 +97,8 @@ class LvmTable:
         ended, delimiter = 0, "\t"
         for number, line in enumerate(self._lines(), 1):
             if number == 1 and not line.startswith("LabVIEW Measurement"):
-                raise DataError(
-                    "is not a LabVIEW measurement file", self.path, "its first words are LabVIEW Measurement"
-                )
+                what = "is not a LabVIEW measurement file"
+                raise DataError(what, self.path, "its first words are LabVIEW Measurement")
             if line.startswith(("Separator\t", "Separator,")):
                 delimiter = "," if "Comma" in line else "\t"
             fields = line.split(delimiter)

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from scipy.io.matlab import MatlabOpaque
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.quantities import may_agree
 from labpipe.raw_files.arrays_table import ArraysTable, columns_of, distinct, is_numeric, rate_of
@@ -81,9 +82,34 @@ def hdf5_names(path: Path) -> tuple[str, ...]:
     return tuple(names)
 
 
+# What a data set states of packed numbers by the CF conventions of NetCDF, and what holds without.
+PACKED = {"scale_factor": 1.0, "add_offset": 0.0, "_FillValue": math.nan}
+
+
+class Scaled:
+    """A data set of packed numbers: scale_factor times each plus add_offset, NaN at _FillValue."""
+
+    def __init__(self, item: h5py.Dataset) -> None:
+        self._item, self.attrs, self.shape, self.size = item, item.attrs, item.shape, item.size
+        self.dtype = np.dtype(np.float64)
+        numbers = [np.asarray(item.attrs.get(name, otherwise)) for name, otherwise in PACKED.items()]
+        for name, number in zip(PACKED, numbers, strict=True):
+            if number.size != 1 or number.dtype.kind not in "iuf":
+                raise ValueError(f"{name} of {item.name} is no number")
+        self._scale, self._offset, self._fill = (float(number.item()) for number in numbers)
+
+    def __getitem__(self, where: Any) -> FloatArray:
+        stored = np.asarray(self._item[where], np.float64)
+        return np.where(stored == self._fill, np.nan, stored * self._scale + self._offset)
+
+
+def _unpacked(item: h5py.Dataset) -> Any:
+    return Scaled(item) if item.dtype.kind in "iuf" and not PACKED.keys().isdisjoint(item.attrs) else item
+
+
 def _value(file: h5py.File, item: h5py.Dataset) -> Any:
     kind = item.attrs.get("MATLAB_class", b"")
-    raw = item[()]
+    raw = _unpacked(item)[()]
     if kind == b"char":
         return np.array("".join(map(chr, np.asarray(raw).T.ravel())))
     if h5py.check_ref_dtype(item.dtype) is not None:
@@ -352,12 +378,10 @@ def _numeric_sets(file: h5py.File) -> dict[str, Any]:
         is_text = attributes.get("MATLAB_class", b"") in (b"char", b"cell")
         # Of an object there are only numbers that say where it lies.
         is_text = is_text or "MATLAB_object_decode" in attributes
-        if isinstance(item, h5py.Dataset) and not name.startswith("#") and not is_text:
-            if item.shape == ():
-                if item.dtype.kind in "iuf":
-                    sets[name] = item
-            elif item.shape and is_numeric(item):
-                sets[name] = item
+        if not isinstance(item, h5py.Dataset) or name.startswith("#") or is_text:
+            return
+        if item.dtype.kind in "iuf" if item.shape == () else item.shape and is_numeric(item):
+            sets[name] = _unpacked(item)
 
     file.visititems(add)
     return sets
@@ -477,9 +501,8 @@ def write_recording_mat(path: Path, recording: Recording) -> None:
     names = [re.sub(r"\W", "_", channel.name, flags=re.ASCII) for channel in recording.channels]
     names = [name if name[:1].isalpha() else f"x{name}" for name in names]
     if len({*names, "fs", "units"}) < len(names) + 2:
-        raise DataError(
-            "two channels have the same name in MATLAB", recording.name, "fs and units are reserved"
-        )
+        what = "two channels have the same name in MATLAB"
+        raise DataError(what, recording.name, "fs and units are reserved")
     variables: dict[str, Any] = {name: recording.samples[:, n : n + 1] for n, name in enumerate(names)}
     units = {name: channel.unit for name, channel in zip(names, recording.channels, strict=True)}
     variables |= {"fs": recording.sample_rate, "units": units}

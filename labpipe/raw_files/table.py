@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
@@ -18,8 +18,8 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError, LabpipeError, cut
-from labpipe.quantities import NONE, UnitError, parse_unit
 from labpipe.raw_files.text_table import check_filled, plain_suffix
+from labpipe.records.rig import time_scale
 from labpipe.registry import Registry, nearest
 
 
@@ -210,9 +210,8 @@ def open_table(path: Path) -> Table:
         raise DataError("no such file", path)
     suffix = plain_suffix(path)
     if suffix not in READERS.names():
-        raise DataError(
-            f"files with the ending '{suffix}' cannot be read", path, f"known: {', '.join(READERS.names())}"
-        )
+        what = f"files with the ending '{suffix}' cannot be read"
+        raise DataError(what, path, f"known: {', '.join(READERS.names())}")
     if not path.is_file():
         raise DataError("is no regular file", path)
     check_filled(path)
@@ -275,10 +274,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
 
 def check_time(table: Table, time: str | None) -> None:
     """DataError where the *time* column has the unit of something else; there may be none."""
-    unit = table.units.get(time or "", "s")
-    if unit == "Hz":
+    if table.units.get(time or "") == "Hz":
         hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"
         raise DataError(f"'{time}' is a frequency, no time", table.path, hint)
-    with suppress(UnitError):
-        if parse_unit(unit).dimension not in (NONE, parse_unit("s").dimension):
-            raise DataError(f"'{time}' is in {unit} by the file's own header, no time", table.path)
+    time_scale(time, table.units, table.path)

@@ -150,9 +150,8 @@ def _rate(channels: list[Any], path: Path) -> float | None:
     steps = [float(waveform["wf_increment"]) for waveform in waveforms]
     low, high = min(steps), max(steps)
     if low <= 0 or high > low * (1 + _SAME):
-        raise DataError(
-            f"its channels have time steps from {low:g} s to {high:g} s", path, "one rate is required"
-        )
+        what = f"its channels have time steps from {low:g} s to {high:g} s"
+        raise DataError(what, path, "one rate is required")
     # A channel that does not say when it begins is taken to begin with the others.
     times = [np.datetime64(w["wf_start_time"]) for w in waveforms if "wf_start_time" in w]
     apart = np.ptp([float(w.get("wf_start_offset") or 0) for w in waveforms])

@@ -187,9 +187,8 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
         if not line.strip(" \t\r\0\x1a"):
             continue
         if line.strip() != "-1":
-            raise DataError(
-                f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'", lines.path
-            )
+            what = f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'"
+            raise DataError(what, lines.path)
         kind = lines.needed(1)[0]
         if kind[:6].strip() == "58":
             number += 1
@@ -325,9 +324,8 @@ def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None,
     columns = layout.parts + (not layout.even)
     numbers = _split(text.upper().replace(b"D", b"E"), layout)
     if numbers.size != columns * layout.n_value:
-        raise ValueError(
-            f"{numbers.size // columns} values, {layout.n_value} are stated: it is cut off or damaged"
-        )
+        what = f"{numbers.size // columns} values, {layout.n_value} are stated: it is cut off or damaged"
+        raise ValueError(what)
     table = numbers.reshape(-1, columns)
     return (None, table) if layout.even else (table[:, 0], table[:, 1:])
 

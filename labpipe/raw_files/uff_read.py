@@ -91,7 +91,10 @@ def _response(
     factor_of = {record.number: factor for record, factor in zip(frfs, factors, strict=True)}
 
     def values(output: Key, reference: Key) -> ComplexArray:
-        record = _element(elements, output, reference)
+        if (output, reference) not in elements:
+            what = f"no FRF record for response {_text(output)} and reference {_text(reference)}"
+            raise DataError(what, hint="a full matrix is required")
+        record = elements[output, reference]
         return _values(buffer, record, frequency, factor_of[record.number])
 
     matrix = cube(outputs, inputs, values)
@@ -123,13 +126,6 @@ def _elements(records: Sequence[uff.UffRecord]) -> dict[tuple[Key, Key], uff.Uff
             raise DataError(what, hint="one file holds one test")
         elements[pair] = record
     return elements
-
-
-def _element(elements: dict[tuple[Key, Key], uff.UffRecord], output: Key, reference: Key) -> uff.UffRecord:
-    if (output, reference) not in elements:
-        what = f"no FRF record for response {_text(output)} and reference {_text(reference)}"
-        raise DataError(what, hint="a full matrix is required")
-    return elements[output, reference]
 
 
 def _text(key: Key) -> str:

@@ -134,10 +134,8 @@ def _points(ports: Iterable[Port]) -> list[UffPoint]:
     points = {port: _point(port, places) for port in all_ports}
     for first, second in itertools.combinations(dict.fromkeys(all_ports), 2):
         if points[first] == points[second] and first.label != second.label:
-            raise DataError(
-                f"'{first.label}' and '{second.label}' have the same name in a universal file",
-                hint="use ten letters at most",
-            )
+            what = f"'{first.label}' and '{second.label}' have the same name in a universal file"
+            raise DataError(what, hint="use ten letters at most")
     return [points[port] for port in all_ports]
 
 
@@ -195,9 +193,8 @@ def _function(
 
 def _is_even_as_printed(abscissa: FloatArray) -> bool:
     first, step = (float(f"{value:.5e}") for value in (abscissa[0], abscissa[1] - abscissa[0]))
-    return bool(
-        np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa)) <= _EVEN * np.max(np.abs(abscissa))
-    )
+    off = np.max(np.abs(first + step * np.arange(abscissa.size) - abscissa))
+    return bool(off <= _EVEN * np.max(np.abs(abscissa)))
 
 
 def _write(path: Path, sets: Sequence[dict[str, Any]], binary: bool = False) -> None:

@@ -60,9 +60,8 @@ class ElementColumns(Settings):
     def __post_init__(self) -> None:
         if self.given and self.given not in PARTS:
             what = "alone is" if len(self.given) == 1 else "together are"
-            raise ConfigError(
-                f"{' and '.join(self.given)} {what} no complex number", hint=f"{_KNOWN_PARTS} are needed"
-            )
+            hint = f"{_KNOWN_PARTS} are needed"
+            raise ConfigError(f"{' and '.join(self.given)} {what} no complex number", hint=hint)
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -87,9 +86,8 @@ class FrfColumns(ElementColumns):
         axis = [name for name in ("frequency", "omega") if getattr(self, name)]
         stepped = bool(self.start) + bool(self.step)
         if len(axis) + (stepped > 0) != 1 or stepped == 1:
-            raise ConfigError(
-                "one frequency axis is needed", hint="frequency, omega (rad/s), or start and step"
-            )
+            what = "one frequency axis is needed"
+            raise ConfigError(what, hint="frequency, omega (rad/s), or start and step")
         if self.matrix and self.given:
             raise ConfigError(f"'matrix' and '{self.given[0]}' are both named", hint="leave one of them out")
 
@@ -149,24 +147,18 @@ class FrfLayout(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.file) == bool(self.each):
-            raise ConfigError(
-                "one of 'file' and 'each' is needed",
-                hint="file: h.txt, or each: 'points/*.txt' with a pattern",
-            )
+            what = "one of 'file' and 'each' is needed"
+            raise ConfigError(what, hint="file: h.txt, or each: 'points/*.txt' with a pattern")
         if self.columns is not None and self.variables is not None:
-            raise ConfigError(
-                "'columns' and 'variables' are both named",
-                hint="columns for a table, variables for .mat, .h5 and .npz",
-            )
+            what = "'columns' and 'variables' are both named"
+            raise ConfigError(what, hint="columns for a table, variables for .mat, .h5 and .npz")
         stated = self.unit or self.form
         # The records of a universal file may leave open what they hold.
         if self.table is None and (
             self.elements or self.axes or self.conjugate or (stated and not self._are_universal)
         ):
-            raise ConfigError(
-                "neither 'columns' nor 'variables' say where the numbers stand",
-                hint="columns: {frequency: 1, re: 2, im: 3}",
-            )
+            what = "neither 'columns' nor 'variables' say where the numbers stand"
+            raise ConfigError(what, hint="columns: {frequency: 1, re: 2, im: 3}")
         if self.axes and sorted(self.axes) != sorted(AXES):
             raise SettingError("axes", "'axes' must name frequency, output and input once each")
         if self.table is not None:
@@ -191,16 +183,13 @@ class FrfLayout(Settings):
             raise SettingError(where, what, f"{_KNOWN_PARTS} are needed, or 'elements' for several")
         for name, element in self.elements:
             if not element.given:
-                raise SettingError(
-                    "elements", f"the element '{name}' has no columns", f"{_KNOWN_PARTS} are needed"
-                )
+                what = "elements"
+                raise SettingError(what, f"the element '{name}' has no columns", f"{_KNOWN_PARTS} are needed")
 
     def _check_unit(self) -> None:
         if not self.form and not self.unit:
-            raise ConfigError(
-                "form or unit is needed",
-                hint="form: accelerance, and unit: g/N where the numbers are not in SI units",
-            )
+            hint = "form: accelerance, and unit: g/N where the numbers are not in SI units"
+            raise ConfigError("form or unit is needed", hint=hint)
         try:
             self.scale  # noqa: B018 (raises)
         except UnitError as error:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -19,18 +20,24 @@ from labpipe.records.uncertain import Uncertain
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
 
 
-def time_scale(column: str | None, units: Mapping[str, str]) -> float:
+# msec, microseconds, and "seconds since 2024-03-01" of HDF5 files.
+_WORDS = (("( since .*| )", ""), ("milli", "m"), ("micro", "u"), ("nano", "n"), ("sec(ond)?s?$", "s"))
+
+
+def time_scale(column: str | None, units: Mapping[str, str], where: Path | str = "") -> float:
     """Seconds per unit of a time column: by the *units* that its file states, else in brackets behind its
-    name; 1 without one.
+    name; 1 without one. DataError for a unit that is none of time.
     """
-    match = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
-    # msec, microseconds
-    behind = re.sub(r"sec(ond)?s?$", "s", match[1]) if match else "s"
-    unit = units.get(column or "") or behind.replace("milli", "m").replace("micro", "u")
+    behind = re.search(r"[\[(]([^\])]+)[\])]\s*$", column or "")
+    stated = units.get(column or "") or (behind[1] if behind else "s")
+    unit = stated
+    for word, short in _WORDS:
+        unit = re.sub(word, short, unit, flags=re.IGNORECASE)
     try:
         return parse_value(f"1 {unit}", "s")
     except UnitError:
-        return 1.0
+        what, hint = f"'{column}' is in {stated}, no unit of time", "known: s, ms, us, ns, min, h"
+        raise DataError(what, where, f"{hint}; or give sample_rate instead of time") from None
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,8 @@ class RecordedCondition(Settings):
 
     def __post_init__(self) -> None:
         if bool(self.channel) == bool(self.tacho):
-            raise ConfigError(
-                "one of 'channel' and 'tacho' is needed", hint="channel: load_cell, or tacho: key"
-            )
+            what = "one of 'channel' and 'tacho' is needed"
+            raise ConfigError(what, hint="channel: load_cell, or tacho: key")
         if self.pulses < 1:
             raise ConfigError("'pulses' must be at least 1")
 
@@ -180,9 +186,8 @@ class Geometry:
         alone = not point and len(self.names) == 1
         if directed is None or not (alone or point in self.names):
             names = ", ".join(self.names[:MOST_NAMES]) + (", ..." if len(self.names) > MOST_NAMES else "")
-            raise DataError(
-                f"the geometry has no point '{point or dof}', of the dof '{dof}'", hint=f"its points: {names}"
-            )
+            what = f"the geometry has no point '{point or dof}', of the dof '{dof}'"
+            raise DataError(what, hint=f"its points: {names}")
         vector = np.zeros(3)
         vector[AXES.index(directed["axis"].lower())] = -1.0 if directed["sign"] == "-" else 1.0
         return (0 if alone else self.names.index(point)), vector

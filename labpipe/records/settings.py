@@ -227,10 +227,8 @@ def to_values(value: Any, setting: Setting) -> tuple[float, ...]:
 def to_matrix(value: Any, setting: Setting) -> tuple[tuple[float, ...], ...]:
     """A list of rows of equal length."""
     if not _is_list(value) or not all(_is_list(row) for row in value):
-        raise UnitError(
-            f"'{_text_of(value)}' is not a matrix",
-            f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]",
-        )
+        what = f"'{_text_of(value)}' is not a matrix"
+        raise UnitError(what, f"write rows, for example [[2 {setting.unit}, 0], [0, 2 {setting.unit}]]")
     rows = tuple(to_values(row, setting) for row in value)
     if len({len(row) for row in rows}) != 1:
         raise UnitError("the rows of the matrix are not equally long")
@@ -292,9 +290,8 @@ def to_groups(value: Any, setting: Setting) -> tuple[tuple[str, ...], ...]:
     """A list of lists of names, or one list."""
     # An empty tuple is the default; an empty list of a file is a slip.
     if not _is_list(value) or value == []:
-        raise UnitError(
-            f"'{_text_of(value)}' is not a list of names", "write for example [[k_xx, k_yy], [c_xx, c_yy]]"
-        )
+        what = f"'{_text_of(value)}' is not a list of names"
+        raise UnitError(what, "write for example [[k_xx, k_yy], [c_xx, c_yy]]")
     entries = list(value)
     if all(_is_list(entry) for entry in entries):
         return tuple(to_names(entry, setting) for entry in entries)
@@ -307,10 +304,8 @@ def to_section(value: Any, setting: Setting) -> Any:
     if isinstance(value, setting.section):
         return value
     if not isinstance(value, Mapping):
-        raise UnitError(
-            f"'{_text_of(value)}' is not a section of settings",
-            f"give a {setting.section.__name__} or a mapping of its entries",
-        )
+        what = f"'{_text_of(value)}' is not a section of settings"
+        raise UnitError(what, f"give a {setting.section.__name__} or a mapping of its entries")
     try:
         return setting.section(**value)
     except TypeError as error:

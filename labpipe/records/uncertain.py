@@ -69,10 +69,8 @@ def parse_uncertain(text: str, unit: str) -> Uncertain:
     if size < 0:
         raise UnitError(f"'{text}' has a negative uncertainty")
     if relative and size > MOST_RELATIVE * abs(value):
-        raise UnitError(
-            f"'{size_text}' is more than {MOST_RELATIVE} times the value",
-            "write the uncertainty with its unit",
-        )
+        what = f"'{size_text}' is more than {MOST_RELATIVE} times the value"
+        raise UnitError(what, "write the uncertainty with its unit")
     return _qualify(Uncertain(value, size), qualities)
 
 
@@ -138,9 +136,9 @@ class Uncertainty:
     shape: str = "normal"
 
 
-def uncertainty_of(number: Uncertain, source: str, unit: str, scale: float = 1.0) -> Uncertainty:
-    """The uncertainty of a number times *scale* [-], by its own source where it names one, else *source*."""
-    return Uncertainty(number.source or source, scale * number.std_error, unit, number.dof, number.shape)
+def uncertainty_of(number: Uncertain, source: str, unit: str) -> Uncertainty:
+    """The uncertainty of a number, by its own source where it names one, else *source*."""
+    return Uncertainty(number.source or source, number.std_error, unit, number.dof, number.shape)
 
 
 @dataclass(frozen=True)

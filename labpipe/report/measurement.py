@@ -24,7 +24,7 @@ from labpipe.report.figures import (
     scale_of,
 )
 from labpipe.report.wording import unit_text
-from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, two_sided
+from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, is_directional, two_sided
 from labpipe.spectra.damping import HalfPower, half_power
 from labpipe.spectra.orders import planes_of
 
@@ -147,7 +147,7 @@ ARROW = (8, 12)
 def spectral_blocks(response: FrequencyResponse) -> tuple[Block, ...]:
     """What is shown below an FRF: two sides and orbits of a directional one, loops, distortion."""
     blocks: list[Block] = []
-    if tuple(port.label for port in (*response.outputs, *response.inputs)) == 2 * FORWARD_BACKWARD:
+    if is_directional(response):
         peaks = resonances(response)
         blocks += [two_sided_figure(response, peaks), *_half_power_table(response, peaks)]
         blocks += [orbit_figure(response, peaks)] if peaks else []

@@ -1,11 +1,6 @@
 """Recordings -> spectra of all channels side by side, with their covariance: none of them is taken as free of
-noise.
-
-All channels under periodic excitation: averages over periods, and their covariance from the scatter between
-periods.
-
-Weights by a covariance of few degrees of freedom lose efficiency: noise is pooled over runs where these
-agree, and over neighbouring lines.
+noise. That of periods is pooled over runs that agree, and over neighbouring lines: weights by few degrees of
+freedom lose efficiency.
 """
 
 from __future__ import annotations
@@ -50,10 +45,8 @@ def periodic_lines(
     averaged = [spectrum for spectrum, _ in both]
     n_period = min(spectrum.n_period for spectrum in averaged)
     if n_period < 2:
-        raise DataError(
-            "one period is left, so the noise of the channels is unknown",
-            hint="record at least 2 after the transient ones",
-        )
+        what = "one period is left, so the noise of the channels is unknown"
+        raise DataError(what, hint="record at least 2 after the transient ones")
     spectra = [_sum(spectrum, layout) for spectrum in _pool(averaged, settings.smooth)]
     excited = np.zeros((spectra[0].frequency.size, len(spectra), len(layout.channels)), bool)
     for run, spectrum in enumerate(spectra):
@@ -62,9 +55,8 @@ def periodic_lines(
                 excited[:, run, column] = excited_lines(spectrum, [column])
     lines = np.any(excited, axis=(1, 2))
     if not np.any(lines):
-        raise DataError(
-            "no line of the forces exceeds its noise", hint="check `period` and `band`, or raise the level"
-        )
+        what = "no line of the forces exceeds its noise"
+        raise DataError(what, hint="check `period` and `band`, or raise the level")
     vectors = np.stack([spectrum.mean[lines] for spectrum in spectra], axis=1)
     covariance = np.stack(
         [spectrum.noise[lines] for spectrum in spectra if spectrum.noise is not None], axis=1

@@ -1,8 +1,5 @@
 """Which channels of several recordings stand in the spectra, how sums are made of them, and what their
-uncertainties do to an FRF: those of the numbers in a sum, and of the calibration of its members.
-
-An output y_o = sum a_m x_m changes by da x_m, its row of H by da G_m, G_m = x_m / u; a force by da G_m u, so
-that H changes by -H e_i da G_m. All to first order in the error.
+uncertainties (numbers in a sum, calibrations of its members) do to an FRF, to first order.
 """
 
 from __future__ import annotations
@@ -240,9 +237,8 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
             if channel not in members and (channel.role != "input" or channel.terms)
         ]
         if lacking:
-            raise DataError(
-                f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording"
-            )
+            what = f"recording '{source.name}' lacks the channel {', '.join(lacking)} of another recording"
+            raise DataError(what)
     recorded = [channel for channel in distinct if not channel.terms]
     columns = tuple(
         tuple(source.channels.index(sensor) if sensor in source.channels else -1 for sensor in recorded)
@@ -255,9 +251,8 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
 def _choose(source: SampleSource) -> list[Channel]:
     used = [channel for channel in source.channels if channel.role != "reference"]
     if not any(channel.role == "input" for channel in used):
-        raise DataError(
-            f"recording '{source.name}' has no force (role: input)", hint="see the channels of the rig file"
-        )
+        what = f"recording '{source.name}' has no force (role: input)"
+        raise DataError(what, hint="see the channels of the rig file")
     members = {term.channel for channel in used for term in channel.terms}
     missing = members - {channel.name for channel in source.channels}
     if missing:

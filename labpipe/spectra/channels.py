@@ -71,10 +71,8 @@ def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[in
     sample, column = (int(n) for n in missing[0])
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
     hint = "labpipe does not fill gaps; cut the recording there or record it again"
-    raise DataError(
-        f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}",
-        hint=hint,
-    )
+    what = f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}"
+    raise DataError(what, hint=hint)
 
 
 FORCE = "force"
@@ -137,35 +135,49 @@ def turned_channels(channels: Sequence[Channel], number: int) -> FloatArray:
     return change
 
 
-class InTime(DerivedRecording):
-    """A recording with its channels moved forward by the whole samples of their delays; satisfies
-    SampleSource. What is left of a delay stays that of the channel.
+class Lags:
+    """Channels moved forward by the whole samples of their delays, block by block. What is left of a delay
+    stays that of the channel.
     """
+
+    def __init__(self, channels: Sequence[Channel], sample_rate: float) -> None:
+        delays = np.array([channel.delay for channel in channels])
+        late = np.round(sample_rate * delays)
+        self._lags = (late - np.min(late)).astype(int)
+        left = np.round(delays - self._lags / sample_rate, 12)
+        self.channels = tuple(
+            dataclasses.replace(channel, delay=float(delay)) if lag else channel
+            for channel, delay, lag in zip(channels, left, self._lags, strict=True)
+        )
+        self.most = int(np.max(self._lags))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the samples that wait for late channels."""
+        self._rest: FloatArray = np.empty((0, self._lags.size))
+
+    def add(self, block: FloatArray) -> FloatArray:
+        """The next samples that all channels have, with the *block*: (n, n_channel) [SI]."""
+        if not self.most:
+            return block
+        samples = np.concatenate([self._rest, block])
+        n = max(samples.shape[0] - self.most, 0)
+        self._rest = samples[n:]
+        return np.column_stack([c[lag : lag + n] for c, lag in zip(samples.T, self._lags, strict=True)])
+
+
+class InTime(DerivedRecording):
+    """A recording with its channels moved by their Lags; satisfies SampleSource."""
 
     def __init__(self, source: SampleSource) -> None:
         super().__init__(source)
-        delays = np.array([channel.delay for channel in source.channels])
-        late = np.round(source.sample_rate * delays)
-        self._lags = (late - np.min(late)).astype(int)
-        left = np.round(delays - self._lags / source.sample_rate, 12)
-        self.channels = tuple(
-            dataclasses.replace(channel, delay=float(delay)) if lag else channel
-            for channel, delay, lag in zip(source.channels, left, self._lags, strict=True)
-        )
-        self.n_sample = max(source.n_sample - int(np.max(self._lags)), 0)
+        lags = Lags(source.channels, source.sample_rate)
+        self.channels, self.n_sample = lags.channels, max(source.n_sample - lags.most, 0)
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
-        most = int(np.max(self._lags))
-        rest: FloatArray = np.empty((0, len(self.channels)))
-        for block in self.source.blocks(n_sample):
-            samples = np.concatenate([rest, block])
-            n = max(samples.shape[0] - most, 0)
-            if n:
-                yield np.column_stack(
-                    [c[lag : lag + n] for c, lag in zip(samples.T, self._lags, strict=True)]
-                )
-            rest = samples[n:]
+        lags = Lags(self.source.channels, self.sample_rate)
+        yield from (moved for block in self.source.blocks(n_sample) if (moved := lags.add(block)).size)
 
 
 def in_time(sources: Sequence[SampleSource]) -> list[SampleSource]:

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.spectra.matrices import hermitian, without_rounding
+from labpipe.spectra.matrices import without_rounding
 
 DERIVATIVES = {"receptance": 0, "mobility": 1, "accelerance": 2}
 # Motion over motion of a base.
@@ -62,10 +62,8 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
     for name in (form, response.form):
         receptance_factor(name, response.frequency[:0])
     if order < 0 and response.frequency[0] == 0:
-        raise DataError(
-            f"the line at 0 Hz of a {response.form} cannot be converted to {form}",
-            hint="begin the band above 0 Hz",
-        )
+        what = f"the line at 0 Hz of a {response.form} cannot be converted to {form}"
+        raise DataError(what, hint="begin the band above 0 Hz")
     factor = ((2j * np.pi * response.frequency) ** order)[:, None, None]
     covariance, distortion = response.covariance, response.distortion
     return dataclasses.replace(
@@ -87,37 +85,6 @@ def _with_each(
         errors=tuple(dataclasses.replace(error, change=turn(error.change)) for error in response.errors),
         **turned,
     )
-
-
-def dynamic_stiffness(response: FrequencyResponse) -> ComplexArray:
-    """Z = H^-1 [N/m], the matrix inverse of the receptance, (n_frequency, n_input, n_output). Raises
-    DataError when there are not as many forces as outputs, or when the matrix is singular at a line. Equation
-    (frf-stiffness).
-    """
-    n_output, n_input = response.matrix.shape[1:]
-    if n_output != n_input:
-        hint = "as many forces as responses are needed"
-        raise DataError(f"{n_output} responses to {n_input} forces have no dynamic stiffness", hint=hint)
-    receptance = convert(response, "receptance")
-    try:
-        return np.linalg.inv(receptance.matrix)
-    except np.linalg.LinAlgError:
-        raise DataError("the FRF matrix is singular at a line, so it has no dynamic stiffness") from None
-
-
-def dynamic_stiffness_covariance(response: FrequencyResponse) -> ComplexArray | None:
-    """Covariance of vec(Z), row-major, (n_frequency, n, n) [(N/m)^2]: dZ = -Z dH Z, so cov = T cov_H T^H with
-    T = Z kron Z^T. First order in the errors of H; None for a response without covariance. Raises as
-    dynamic_stiffness does. Equation (frf-stiffness-covariance).
-    """
-    stiffness = dynamic_stiffness(response)
-    if response.covariance is None:
-        return None
-    covariance = convert(response, "receptance").covariance
-    assert covariance is not None
-    n = stiffness.shape[1]
-    turn = np.einsum("fab,fcd->fadbc", stiffness, stiffness).reshape(-1, n * n, n * n)
-    return without_rounding(turn @ covariance @ hermitian(turn))
 
 
 # [x, y] = A [f, b]: forward turns from x to y, backward the other way.
@@ -156,6 +123,11 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
+def is_directional(response: FrequencyResponse) -> bool:
+    """Whether a response is a dFRF, from forces forward and backward to motions forward and backward."""
+    return tuple(port.label for port in (*response.outputs, *response.inputs)) == 2 * FORWARD_BACKWARD
+
+
 def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
     """Rows (cos, sin) of the directions of two ports, (2, 2) [1]. DataError unless there are two known
     directions that differ.
@@ -178,8 +150,7 @@ def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     response]. Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis
     of Rotors, 1993). DataError for a response that is not directional. Equation (frf-two-sided).
     """
-    labels = tuple(port.label for port in (*response.outputs, *response.inputs))
-    if labels != (*FORWARD_BACKWARD, *FORWARD_BACKWARD):
+    if not is_directional(response):
         raise DataError("a two-sided view needs forward and backward terms", hint="directional: true")
     negative = response.matrix[::-1, 1, ::-1].conj()
     return np.concatenate([-response.frequency[::-1], response.frequency]), np.concatenate(

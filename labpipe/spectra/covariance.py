@@ -45,13 +45,12 @@ def covariance_of_random(
 ) -> ComplexArray:
     """cov(H_oi, H_pj) = S_rr[o, p] (B_p^H S_zz[p, o] B_o)[j, i] / (n_e - n_input), B_o = (E[u z_o^H])^-1,
     S_rr = [-H, I] S [-H, I]^H. The error of an estimator with instruments z is d_o = sum_k r_o z_o^H B_o /
-    n_e, r = y - H u. One force and one output give for H1 twice the variance that textbooks give for the
-    magnitude alone (Bendat and Piersol, Random Data, eq. 9.90). Exact for H1, first order in 1 / n_e for the
-    others. spectra (n_frequency, n, n) [unit^2/Hz] of all channels, the n_input forces first; response
-    (n_frequency, n_output, n_input) [unit/N]; instruments W (n_frequency, n_output or 1, n_input, n) with z_o
-    = W_o [u; y], see random.INSTRUMENTS; *parts* that add up to the spectra, with the level (n_output,) of
-    the noise in each. The residual's spectrum is averaged over *half_width* lines to either side, where few
-    averages alone would tell little of it (pooled_residual). Equation (frf-covariance-random).
+    n_e, r = y - H u. Exact for H1, first order in 1 / n_e for the others. spectra (n_frequency, n, n)
+    [unit^2/Hz] of all channels, the n_input forces first; response (n_frequency, n_output, n_input) [unit/N];
+    instruments W (n_frequency, n_output or 1, n_input, n) with z_o = W_o [u; y], see random.INSTRUMENTS;
+    *parts* that add up to the spectra, with the level (n_output,) of the noise in each. The residual's
+    spectrum is averaged over *half_width* lines to either side, where few averages alone would tell little of
+    it (pooled_residual). Equation (frf-covariance-random).
     """
     n_frequency, _, n_input = response.shape
     residual = pooled_residual(residual_spectrum(spectra, response), response, half_width)
@@ -180,11 +179,9 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
 
 def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:
     """H = (Y U^H - N_yu) (U U^H - N_uu)^-1 (n_line, n_output, n_input) [unit/N] of all recordings, N = sum_e
-    (1 - h_e) N_e with h_e = (U^+ U)_ee: Y U^+ alone is off by the share of that noise in U U^H. The error of
-    the inverse takes the part h_e of the noise back, in first order, which is all where recordings are as
-    many as forces. mean (n_line, n_input + n_output, n_recording) [unit], forces first; inverse (n_line,
-    n_recording, n_input) [1/N] = U^+; noise (n_recording, n_line, n_channel, n_channel) [unit^2]. Y U^+ as it
-    is where the noise is not known, and at lines where it is more than half of the forces. Equation
+    (1 - h_e) N_e with h_e = (U^+ U)_ee. mean (n_line, n_input + n_output, n_recording) [unit], forces first;
+    inverse (n_line, n_recording, n_input) [1/N] = U^+; noise (n_recording, n_line, n_channel, n_channel)
+    [unit^2]. Y U^+ as it is where the noise is not known, or more than half of the forces. Equation
     (frf-joined).
     """
     n_input = inverse.shape[2]

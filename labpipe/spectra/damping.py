@@ -90,9 +90,8 @@ def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
     """
     spacing = np.diff(response.frequency)
     if spacing.size and np.ptp(spacing) > EVEN * spacing.mean():
-        raise DataError(
-            "the lines are not evenly spaced, so that a window cannot be taken out", hint="leave out windowed"
-        )
+        what = "the lines are not evenly spaced, so that a window cannot be taken out"
+        raise DataError(what, hint="leave out windowed")
     matrix = without_added_damping(response.frequency, response.matrix, decay).matrix
     return dataclasses.replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
 
@@ -167,9 +166,8 @@ def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float,
         or peak in (0, frequency.size - 1)
         or not size[peak - 1] <= size[peak] >= size[peak + 1]
     ):
-        raise DataError(
-            f"no resonance within {band[0]:g}-{band[1]:g} Hz", hint="choose the band around the peak"
-        )
+        what = f"no resonance within {band[0]:g}-{band[1]:g} Hz"
+        raise DataError(what, hint="choose the band around the peak")
     square = frequency**2
     with np.errstate(divide="ignore"):
         inverse = (size[peak] / size) ** 2
@@ -177,10 +175,8 @@ def half_power(frequency: FloatArray, response: ComplexArray, band: tuple[float,
     top = -b / (2 * a)
     least = c + b * top / 2
     if not least > 0:
-        raise DataError(
-            f"the lines are too far apart for the peak at {frequency[peak]:g} Hz",
-            hint="give lines nearer to each other",
-        )
+        what = f"the lines are too far apart for the peak at {frequency[peak]:g} Hz"
+        raise DataError(what, hint="give lines nearer to each other")
     low = _crossing(square, inverse, peak, -1, 2 * least)
     high = _crossing(square, inverse, peak, 1, 2 * least)
     return HalfPower(
@@ -202,9 +198,8 @@ def _crossing(square: FloatArray, inverse: FloatArray, peak: int, side: int, lev
     beyond = np.flatnonzero(inverse[peak::side] >= level)
     if not beyond.size:
         where = "above" if side > 0 else "below"
-        raise DataError(
-            f"the response does not fall to half power {where} its peak", hint="widen the FRF's band"
-        )
+        what = f"the response does not fall to half power {where} its peak"
+        raise DataError(what, hint="widen the FRF's band")
     first = peak + side * int(beyond[0])
     # The lines to either side of the crossing and the next one towards the peak.
     three = np.sort([first, first - side, first - 2 * side])

@@ -1,12 +1,6 @@
 """Is the loop closed? Whether a force is fed back from the response, from the records alone, where no
-reference was named.
-
-Random data: what a force does to a response comes after it. In a loop u = r - C y, y = G u + v the estimate
-S_yu / S_uu is (G S_r - C* S_v) / (S_r + |C|^2 S_v), and C* comes before; so does G of a rotor that is
-unstable without its controller. Tested is the part of the impulse response before the force (Haugh, J. Am.
-Stat. Assoc. 71, 1976: lags of either sign). Periodic data: what does not repeat is noise of sensors, or a
-force besides, of which the response is G u: by neither is S_wu / G, w = y - G u, complex, as it is where v is
-fed back.
+reference was named. Random data: by the impulse response before the force (Haugh, J. Am. Stat. Assoc. 71,
+1976: lags of either sign). Periodic data: by S_wu / G, w = y - G u of what does not repeat, which is complex.
 """
 
 from __future__ import annotations

@@ -106,10 +106,8 @@ def _spans(samples: FloatArray, rate: float, settings: FrfSettings, name: str) -
             spans = [(start, min(end, round(decay.end * rate))) for start, end in spans]
         spans = [span for span in spans if span[1] - span[0] >= LEAST_PERIODS * levels.period]
     if not spans or spans[0][1] - spans[0][0] < 2:
-        raise DataError(
-            f"recording '{name}' holds no free decay",
-            hint="say where it is with `decay: {start: ..., end: ...}`",
-        )
+        what = f"recording '{name}' holds no free decay"
+        raise DataError(what, hint="say where it is with `decay: {start: ..., end: ...}`")
     return spans
 
 
@@ -129,10 +127,8 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     moving_rms = rms[rms > STILL * np.max(rms, initial=0.0)]
     quiet = float(np.quantile(moving_rms, 0.05)) if moving_rms.size else float("inf")
     if not rms.size or np.max(rms) < LEAST_RATIO * quiet:
-        raise DataError(
-            f"in recording '{name}' no decay stands out of the noise",
-            hint="excite it more, or name `start` and `end`",
-        )
+        what = f"in recording '{name}' no decay stands out of the noise"
+        raise DataError(what, hint="excite it more, or name `start` and `end`")
     return _Levels(size, period, stretch, quiet)
 
 

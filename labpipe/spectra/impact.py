@@ -219,10 +219,8 @@ def check_single_force(source: SampleSource) -> int:
     forces = columns_of(source.channels, "input")
     if len(forces) != 1:
         names = ", ".join(source.channels[number].name for number in forces)
-        raise DataError(
-            f"recording '{source.name}' of hits has {len(forces)} forces ({names})",
-            hint="one hammer per recording",
-        )
+        what = f"recording '{source.name}' of hits has {len(forces)} forces ({names})"
+        raise DataError(what, hint="one hammer per recording")
     return forces[0]
 
 

@@ -1,16 +1,6 @@
 """Closed loops: the FRF by the joint input-output method, from what a reference injected from outside makes
-of forces and responses.
-
-Covariance of a closed loop's FRF that does not know the error of its own line, since it is the weight of that
-line in a fit.
-
-The variance S_ww / |U|^2 of a line is small where noise made |U| large; in a loop that noise is w = Y - G U
-fed back, so that weights by it prefer errors of one sign. Therefore G is taken from the neighbours of the
-line, and U as what is most likely if that G is right.
-
-H1 and G by the reference, S_yr S_ur^-1, are on the page of theory on responses (Ljung, System Identification,
-1999, chapter 13). Periodic data need no other average: what the periods share is due to r, and the covariance
-of force and response together holds what v makes of both.
+of forces and responses (Ljung, System Identification, 1999, chapter 13), with a covariance that does not know
+the error of its own line. docs/pages/theory/response.md says why.
 """
 
 from __future__ import annotations
@@ -29,7 +19,7 @@ from labpipe.records.response import Blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
-from labpipe.spectra.random import blocks_of, change_of_random, joined_spectra, welch_average
+from labpipe.spectra.random import blocks_of, change_of_random, levels_of, shares_of, welch_average
 from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
 from labpipe.spectra.settings import FrfSettings
 
@@ -171,12 +161,12 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         hint = "record longer, or shorten `block`"
         what = f"{averages:.2g} effective averages are too few for the noise of an FRF by references"
         raise DataError(what, hint=hint)
-    matrix = joined_spectra(spectra, whole)[chosen]
+    parts = [part[chosen] for part in shares_of(spectra, whole)]
+    matrix = np.asarray(sum(parts))
     estimate = joint_estimate(matrix, references, n_input, averages)
     findings = _strength_findings(estimate, frequency, settings, layout)
-    covariance = covariance_by_neighbours(
-        frequency, estimate.matrix, estimate.columns, [estimate.noise] * n, GAP
-    )
+    noise = _noise_by_reference(estimate.noise, matrix, parts, [part.averages for part in spectra], n)
+    covariance = covariance_by_neighbours(frequency, estimate.matrix, estimate.columns, noise, GAP)
     open_loop = open_loop_estimate(matrix[:, n:, n:], n_input)
 
     def response_of(part: ComplexArray) -> ComplexArray:
@@ -194,6 +184,26 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         change=change_of_random(halved, whole, chosen, response_of, n + 2),
         open_loop=open_loop,
     )
+
+
+def _noise_by_reference(
+    noise: ComplexArray,
+    spectra: ComplexArray,
+    parts: Sequence[ComplexArray],
+    averages: Sequence[float],
+    n_reference: int,
+) -> list[ComplexArray]:
+    """The *noise* (n_line, n, n) [unit^2/Hz] in what each reference moves: that of every recording by its
+    share in the reference's power. *parts* of the *spectra* (n_line, n_channel, n_channel), references first.
+    """
+    reference = spectra[:, :n_reference, :n_reference]
+    inverse, white = np.linalg.inv(reference), np.linalg.inv(np.linalg.cholesky(reference))
+    levels = levels_of(parts, spectra[:, n_reference:, :n_reference] @ inverse, inverse, averages)
+    gain = np.zeros((n_reference, *noise.shape))
+    for part, size in zip(parts, np.sqrt(levels.T), strict=True):
+        moved = white @ part[:, :n_reference, :n_reference] @ hermitian(white)
+        gain += np.einsum("lrr,a,b->rlab", moved.real, size, size)
+    return list(noise * gain)
 
 
 def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> None:

@@ -1,10 +1,6 @@
 """Local polynomial and local rational methods: FRF and leakage around a line as smooth functions of
-frequency.
-
-Local rational method: the FRF has a pole of its own, so that sharp resonances leave nothing. A(r) Y(k + r) =
-B(r) U(k + r) + T(r) + V, A = 1 + a r, B and T polynomials (McKelvey and Guérin 2012, 16th IFAC Symposium on
-System Identification, "Non-parametric frequency response estimation using a local rational model"; here
-linear in its coefficients).
+frequency, of the latter with a pole (McKelvey and Guérin 2012, 16th IFAC Symposium on System Identification;
+here linear in its coefficients).
 """
 
 from __future__ import annotations
@@ -73,11 +69,11 @@ def local_polynomials(
     parts = [
         _window_fits(u, y, degree, half_width, blocks_of) for u, y in _pieces(forces, responses, half_width)
     ]
-    matrix, noise, spread, left, coherence, condition, weights = (
+    matrix, noise, spread, left, freedoms, coherence, condition, weights = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     dof = freedom(forces.shape[0], forces.shape[2], degree, half_width)
-    levels = noise_levels(left, blocks_of.mean(axis=0) * dof / (2 * half_width + 1))
+    levels = noise_levels(left, freedoms.mean(axis=0) / (2 * half_width + 1))
     covariance = covariance_of_parts(noise, spread, levels)
     return LocalFit(matrix, covariance, coherence, _correlation(weights[:CORRELATED]), condition, dof)
 
@@ -108,8 +104,8 @@ def _windows(
 def _window_fits(
     forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int, blocks_of: FloatArray
 ) -> tuple[ComplexArray, ...]:
-    """Matrix, noise, spread and power left by recording, coherence, condition, weights (n_line, n_input,
-    n_block, 2 n + 1).
+    """Matrix, noise, spread and power left by recording with its degrees of freedom, coherence, condition,
+    weights (n_line, n_input, n_block, 2 n + 1).
     """
     n_block, _, n_input = forces.shape
     width = 2 * half_width + 1
@@ -130,7 +126,14 @@ def _window_fits(
     weights = gain.reshape(n_line, n_input, n_block, width)
     spread = np.einsum("libt,ljbt,be->leij", weights, weights.conj(), blocks_of, optimize=True)
     by_block = np.sum(np.abs(residual.reshape(n_line, n_block, width, -1)) ** 2, axis=2)
-    by_recording = by_block.swapaxes(1, 2) @ blocks_of
+    # What a recording leaves is noise of all: least squares follows the one with most of the force.
+    by = columns.reshape(n_line, n_block, width, -1)
+    own = inverse[:, None] @ np.einsum("lbtj,lbtk,be->lejk", by.conj(), by, blocks_of, optimize=True)
+    free, taken = blocks_of.sum(axis=0) * (width - degree - 1), np.einsum("lejj->le", own).real
+    mixed = np.einsum("lejk,lfkj->lef", own, own).real + np.eye(free.size) * (free - 2 * taken)[:, None]
+    freedoms = free - taken
+    alone = np.linalg.solve(mixed, (by_block.swapaxes(1, 2) @ blocks_of).swapaxes(1, 2))
+    by_recording = (alone * freedoms[:, :, None]).swapaxes(1, 2)
     left, whole = np.sum(np.abs(residual) ** 2, axis=1), np.sum(np.abs(y) ** 2, axis=1)
     coherence = 1 - np.divide(left, whole, out=np.ones_like(left), where=whole > 0)
     matrix = (gain @ y).swapaxes(1, 2)
@@ -139,7 +142,7 @@ def _window_fits(
         np.divide(scale[:, 0], whole_size, out=np.zeros_like(whole_size), where=whole_size > 0), axis=1
     )
     condition = np.maximum(np.linalg.cond(gram), 1 / np.maximum(left_over, 1e-150) ** 2)
-    return matrix, noise, spread, by_recording, coherence, condition, weights
+    return matrix, noise, spread, by_recording, freedoms, coherence, condition, weights
 
 
 def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
@@ -260,10 +263,8 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     frequency = np.arange(1, blocks.shape[1] + 1) * (rate / n_sample)
     inner = frequency[half_width:-half_width]
     if not inner.size:
-        raise DataError(
-            f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}",
-            hint="lengthen `block`",
-        )
+        what = f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}"
+        raise DataError(what, hint="lengthen `block`")
     chosen = np.flatnonzero(lines_left(inner, settings))
     first, last = int(chosen[0]), int(chosen[-1]) + 1
     around = slice(first, last + 2 * half_width)
@@ -307,9 +308,8 @@ def check_half_width(half_width: int, n_block: int, n_input: int, degree: int, n
     """DataError for a half width that leaves the noise unknown, beside *n_pole* poles of the FRF."""
     if freedom(n_block, n_input, degree, half_width) - n_pole < LEAST_DOF:
         least = n_pole + usual_half_width(n_block, n_input, degree)
-        raise DataError(
-            f"half_width: {half_width} leaves the noise unknown", hint=f"{least} or more, or leave it out"
-        )
+        what = f"half_width: {half_width} leaves the noise unknown"
+        raise DataError(what, hint=f"{least} or more, or leave it out")
 
 
 def _spectra(source: SampleSource, block: float) -> ComplexArray:

@@ -58,9 +58,8 @@ def measure(
     """
     check_rate(sources)
     if settings.excitation not in EXCITATIONS:
-        raise ConfigError(
-            f"excitation {settings.excitation} gives no FRF", hint="fit free decays with model: decay"
-        )
+        what = f"excitation {settings.excitation} gives no FRF"
+        raise ConfigError(what, hint="fit free decays with model: decay")
     if settings.excitation in BLOCKS:
         for source in sources:
             check_in_time(source, [channel for channel in source.channels if channel.role != "reference"])

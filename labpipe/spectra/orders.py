@@ -101,10 +101,8 @@ def track_order(
         fitted = _fit(time, angle, samples, outputs, orders, order)
         segments.append((*fitted, *_total_motion(samples[:, outputs], planes)))
     if not segments:
-        raise DataError(
-            f"recording '{source.name}' is shorter than {revolutions} revolutions",
-            hint="lower the number of revolutions",
-        )
+        what = f"recording '{source.name}' is shorter than {revolutions} revolutions"
+        raise DataError(what, hint="lower the number of revolutions")
     times, speed, amplitude, variance, mean, overall, orbit = (
         np.array(column) for column in zip(*segments, strict=True)
     )
@@ -233,10 +231,8 @@ def cascade_spectra(
     samples = np.concatenate(list(checked_blocks(source)))[:, outputs]
     count = samples.shape[0] // length
     if count < 2:
-        raise DataError(
-            f"recording '{source.name}' is shorter than two blocks of {1 / resolution:g} s",
-            hint="a cascade needs a run",
-        )
+        what = f"recording '{source.name}' is shorter than two blocks of {1 / resolution:g} s"
+        raise DataError(what, hint="a cascade needs a run")
     window = np.hanning(length + 1)[:-1]
     starts = [int(start) for start in np.linspace(0, samples.shape[0] - length, min(count, MOST_BLOCKS))]
     blocks = np.stack([samples[start : start + length] for start in starts])

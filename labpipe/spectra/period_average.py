@@ -63,10 +63,8 @@ def samples_per_period(period: float, sample_rate: float) -> int:
     n_sample = round(exact)
     if n_sample < 2 or abs(exact - n_sample) > 1e-6 * exact:
         hint = f"the nearest period that does is {max(n_sample, 2) / sample_rate:.9g} s"
-        raise ConfigError(
-            f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number",
-            hint=hint,
-        )
+        what = f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number"
+        raise ConfigError(what, hint=hint)
     return n_sample
 
 
@@ -378,16 +376,17 @@ def neighbourhood_mean(
     return mean
 
 
-def excited_lines(
-    spectrum: LineSpectrum, inputs: list[int], signal_to_noise: float = 5.0, floor: float = 1e-3
-) -> BoolArray:
-    """Lines (n_line,) at which a force acts: above its noise, and above *floor* [1] of the strongest line.
-    With smoothed noise an empty line passes a *signal_to_noise* [1] of 5 with probability exp(-25). Equation
-    (spec-excited).
+# Shares of a force's noise, and of its strongest line, above which it acts.
+ABOVE_NOISE, FLOOR = 5.0, 1e-3
+
+
+def excited_lines(spectrum: LineSpectrum, inputs: list[int]) -> BoolArray:
+    """Lines (n_line,) at which a force acts. With smoothed noise an empty line passes with probability
+    exp(-25). Equation (spec-excited).
     """
     force = np.abs(spectrum.mean[:, inputs])
-    excited = force > floor * np.max(force, axis=0)
+    excited = force > FLOOR * np.max(force, axis=0)
     if spectrum.noise is not None:
         std = np.sqrt(np.einsum("fii->fi", spectrum.noise).real[:, inputs])
-        excited &= force > signal_to_noise * std
+        excited &= force > ABOVE_NOISE * std
     return np.any(excited, axis=1)

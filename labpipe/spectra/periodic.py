@@ -141,10 +141,8 @@ def _injected_lines(
             raise DataError(what, hint="is it what is injected into this loop, and `period` its period?")
         injected &= lines
     if not np.any(injected):
-        raise DataError(
-            "no line is excited by a reference in all recordings",
-            hint="inject the same lines into every axis, one by one",
-        )
+        what = "no line is excited by a reference in all recordings"
+        raise DataError(what, hint="inject the same lines into every axis, one by one")
     return injected
 
 
@@ -171,9 +169,8 @@ def _refuse_lines(acting: BoolArray) -> None:
     if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
         what = "no line is excited by all forces independently: their lines are interleaved"
         raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    raise DataError(
-        "no line of the force exceeds its noise", hint="check `period` and `band`, or raise the level"
-    )
+    hint = "check `period` and `band`, or raise the level"
+    raise DataError("no line of the force exceeds its noise", hint=hint)
 
 
 def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
@@ -281,18 +278,15 @@ def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
     realisations, different lines, or FRFs of single periods.
     """
     if len(realisations) < 2:
-        raise DataError(
-            "distortion needs at least two realisations of the phases", hint="record with other phases"
-        )
+        what = "distortion needs at least two realisations of the phases"
+        raise DataError(what, hint="record with other phases")
     first = realisations[0]
     for other in realisations:
         if other.frequency.shape != first.frequency.shape or np.any(other.frequency != first.frequency):
             raise DataError(f"'{other.name}' has other lines than '{first.name}'")
         if other.variance is None:
-            raise DataError(
-                f"'{other.name}' has no covariance, so its noise level is unknown",
-                hint="record several periods",
-            )
+            what = f"'{other.name}' has no covariance, so its noise level is unknown"
+            raise DataError(what, hint="record several periods")
     matrices = [response.matrix for response in realisations]
     total = np.var(matrices, axis=0, ddof=1)
     return Distortion(

@@ -415,10 +415,8 @@ def _check_all_joined(
         for output, port in itertools.product(response.outputs, response.inputs):
             pair = output.label, port.label
             if pair in holders:
-                raise DataError(
-                    f"{output.label}/{port.label} lies in {holders[pair]} and in {response.name}",
-                    hint="one file for each element",
-                )
+                what = f"{output.label}/{port.label} lies in {holders[pair]} and in {response.name}"
+                raise DataError(what, hint="one file for each element")
             holders[pair] = response.name
     missing = [
         f"{output}/{port}"
@@ -433,9 +431,8 @@ def _check_alike(response: FrequencyResponse, first: FrequencyResponse) -> None:
     if response.form != first.form:
         raise DataError(f"{response.name} is a {response.form}, {first.name} a {first.form}")
     if response.n_frequency != first.n_frequency:
-        raise DataError(
-            f"{response.name} has {response.n_frequency} frequencies, {first.name} has {first.n_frequency}"
-        )
+        what = f"{response.name} has {response.n_frequency} frequencies, {first.name} has {first.n_frequency}"
+        raise DataError(what)
     if not np.allclose(response.frequency, first.frequency, rtol=SAME_AXIS, atol=0):
         line = int(np.argmax(np.abs(response.frequency - first.frequency)))
         raise DataError(

@@ -60,10 +60,8 @@ def force_inverse(forces: ComplexArray, layout: Layout) -> ComplexArray:
     size = np.max(np.abs(forces), axis=(0, 2))
     singular = np.linalg.svd(forces / size[:, None], compute_uv=False)
     if np.any(singular[:, -1] * WORST_FORCE_CONDITION < singular[:, 0]):
-        raise DataError(
-            f"the forces {names} do not act in independent directions",
-            hint="excite each direction in its own recording",
-        )
+        what = f"the forces {names} do not act in independent directions"
+        raise DataError(what, hint="excite each direction in its own recording")
     return np.linalg.pinv(forces / size[:, None]) / size[None, None, :]
 
 
@@ -85,9 +83,8 @@ def check_forces(s_uu: ComplexArray, layout: Layout) -> None:
     check_power(scale)
     if _worst_condition(s_uu / (scale[:, :, None] * scale[:, None, :])) > WORST_FORCE_CONDITION**2:
         names = ", ".join(port.label for port in layout.inputs)
-        raise DataError(
-            f"the forces {names} do not act independently", hint="excite each direction in its own recording"
-        )
+        what = f"the forces {names} do not act independently"
+        raise DataError(what, hint="excite each direction in its own recording")
 
 
 def check_power(power: FloatArray) -> None:
@@ -109,9 +106,8 @@ def check_responses(s_yy: ComplexArray, layout: Layout, estimator: str) -> None:
     scale = np.sqrt(power)
     condition = condition_number(s_yy / (scale[:, :, None] * scale[:, None, :]))
     if estimator == "H2" and np.any(condition > WORST_FORCE_CONDITION**2):
-        raise DataError(
-            "the responses do not move independently, so H2 cannot be formed", hint="use H1 or Hv"
-        )
+        what = "the responses do not move independently, so H2 cannot be formed"
+        raise DataError(what, hint="use H1 or Hv")
 
 
 def ordinary_coherence(s_uu: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray) -> FloatArray:
@@ -141,10 +137,10 @@ def partial_coherence(
     inverse_force: FloatArray, h1: ComplexArray, s_yu: ComplexArray, s_yy: ComplexArray
 ) -> FloatArray:
     """Coherence of an output and one force, both conditioned on the other forces, (n_frequency, n_output,
-    n_input) [1]. gamma^2 = |Q_yu|^2 / (Q_yy Q_uu) of the inverse Q of the spectra of all forces and that
-    output (Bendat and Piersol, Random Data, ch. 7.3: conditioned spectra); by blocks Q_yu = -q H1 and Q_uu =
-    S_uu^-1 + q H1^H H1 with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1, (n_frequency,
-    n_input) [Hz/N^2]; the other arguments as in multiple_coherence. Equation (frf-partial-coherence).
+    n_input) [1]: of the inverse Q of the spectra of all forces and that output, by blocks Q_yu = -q H1 and
+    Q_uu = S_uu^-1 + q H1^H H1 with the residual power 1 / q. inverse_force: the diagonal of S_uu^-1,
+    (n_frequency, n_input) [Hz/N^2]; the other arguments as in multiple_coherence. Equation
+    (frf-partial-coherence).
     """
     residual = np.einsum("foo->fo", s_yy).real - _explained_power(h1, s_yu)
     explained = _square(h1)
@@ -196,10 +192,8 @@ def reciprocity(response: FrequencyResponse) -> tuple[Reciprocity, ...]:
     (frf-reciprocity).
     """
     if response.variance is None:
-        raise DataError(
-            "reciprocity cannot be tested without the covariance of the FRF",
-            hint="record more periods or blocks",
-        )
+        what = "reciprocity cannot be tested without the covariance of the FRF"
+        raise DataError(what, hint="record more periods or blocks")
     rows = {port.dof: number for number, port in enumerate(response.outputs)}
     columns = {port.dof: number for number, port in enumerate(response.inputs)}
     shared = [dof for dof in rows if dof in columns]
@@ -254,10 +248,8 @@ def _p_value(normal: ComplexArray, dof: float) -> float:
     lines.
     """
     if dof <= 2:
-        raise DataError(
-            f"reciprocity cannot be tested with {dof:g} degrees of freedom of the covariance",
-            hint="record longer",
-        )
+        what = f"reciprocity cannot be tested with {dof:g} degrees of freedom of the covariance"
+        raise DataError(what, hint="record longer")
     power = np.sum(np.abs(normal) ** 2)
     shared = [
         abs(np.sum(normal[k:] * normal[:-k].conj())) / power

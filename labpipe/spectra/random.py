@@ -150,11 +150,12 @@ def joined_spectra(spectra: Sequence[CrossSpectra], layout: Layout) -> ComplexAr
     """
     if len(spectra) == 1:
         return _pad(layout, 0, spectra[0].matrix)
-    joined: ComplexArray = np.sum(_shares(spectra, layout), axis=0)
+    joined: ComplexArray = np.sum(shares_of(spectra, layout), axis=0)
     return joined
 
 
-def _shares(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
+def shares_of(spectra: Sequence[CrossSpectra], layout: Layout) -> list[ComplexArray]:
+    """What each recording adds to joined_spectra, of the same shape [unit^2/Hz]."""
     n_block = sum(spectrum.n_block for spectrum in spectra)
     return [_pad(layout, e, s.matrix) * (s.n_block / n_block) for e, s in enumerate(spectra)]
 
@@ -274,9 +275,9 @@ def parts_of_spectra(
     covariance: StoredCovariance = None
     if averages > n_input + 1:
         parts = (
-            [at_lines(part, chosen) for part in _shares(spectra, layout)] if len(spectra) > 1 else [matrix]
+            [at_lines(part, chosen) for part in shares_of(spectra, layout)] if len(spectra) > 1 else [matrix]
         )
-        levels = _levels(parts, response, inverse_force, [part.averages for part in spectra])
+        levels = levels_of(parts, response, inverse_force, [part.averages for part in spectra])
         if settings.estimator == "H1" and np.all(levels == 1):
             covariance = covariance_of_h1(matrix, response, inverse_force, averages, half_width)
         else:
@@ -296,13 +297,13 @@ def parts_of_spectra(
     )
 
 
-def _levels(
+def levels_of(
     parts: Sequence[ComplexArray],
     response: ComplexArray,
     inverse_force: ComplexArray,
     averages: Sequence[float],
 ) -> FloatArray:
-    """Noise in every recording over that of all (n_output, n_recording); *parts* (n_line, n_channel,
+    """Noise in every recording over that of all (n_output, n_recording) [1]; *parts* (n_line, n_channel,
     n_channel) of the spectra.
     """
     n_input = response.shape[2]

@@ -1,9 +1,5 @@
-"""All channels under random excitation: what is due to each recorded drive, and how far noise covers the
-rest.
-
-With S the cross-spectra of channels z and drives r, L L^H = S_rr: W = S_zr L^-H, a column per drive. Since
-the drives hold none of the sensors' noise, neither do the columns on average; their noise, S_zz - W W^H over
-the number of averages, is independent from column to column.
+"""All channels under random excitation: what is due to each recorded drive, which holds none of the
+sensors' noise, and how far noise covers the rest.
 """
 
 from __future__ import annotations
@@ -124,10 +120,8 @@ def random_lines(
     frequency = spectra[0].frequency[chosen]
     n, n_drive = len(layout.recorded), len(drives)
     if averages <= n_drive + 2:
-        raise DataError(
-            f"{averages:.2g} effective averages are too few for the noise of the channels",
-            hint="record longer, or shorten `block`",
-        )
+        what = f"{averages:.2g} effective averages are too few for the noise of the channels"
+        raise DataError(what, hint="record longer, or shorten `block`")
     lower = lower_of_drives(matrix[:, n:, n:], drives)
     transform = layout.transform(frequency)
     s_zr = transform @ matrix[:, :n, n:]
@@ -192,10 +186,8 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
             "record the drives of the shakers as channels of quantity: voltage, role: reference, or use "
             "a periodic excitation"
         )
-        raise DataError(
-            "random excitation needs a recorded drive of every shaker: each measured channel has noise",
-            hint=hint,
-        )
+        what = "random excitation needs a recorded drive of every shaker: each measured channel has noise"
+        raise DataError(what, hint=hint)
     for source in sources:
         missing = set(names) - {channel.name for channel in source.channels}
         if missing:
@@ -249,10 +241,8 @@ def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "driv
     power = np.einsum("lrr->lr", s_rr).real
     if np.any(power <= 0):
         silent = drives[int(np.flatnonzero(np.any(power <= 0, axis=0))[0])]
-        raise DataError(
-            f"the {word} {silent} is silent in the band",
-            hint=f"is it the {word} of this excitation? narrow `band` to it",
-        )
+        what = f"the {word} {silent} is silent in the band"
+        raise DataError(what, hint=f"is it the {word} of this excitation? narrow `band` to it")
     scale = np.sqrt(power)
     smallest = np.linalg.eigvalsh(s_rr / (scale[:, :, None] * scale[:, None, :]))[:, 0]
     if np.any(smallest < INDEPENDENT):

@@ -73,10 +73,8 @@ def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
     pulses = tacho_pulses(source, lines.tacho)
     if pulses.size < 2:
         hint = "check the channel and its range"
-        raise DataError(
-            f"the tacho '{lines.tacho}' of '{source.name}' shows {pulses.size} pulse(s), 2 are needed",
-            hint=hint,
-        )
+        what = f"the tacho '{lines.tacho}' of '{source.name}' shows {pulses.size} pulse(s), 2 are needed"
+        raise DataError(what, hint=hint)
     return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
 
 
@@ -99,9 +97,8 @@ def tacho_pulses(source: SampleSource, channel: str) -> FloatArray:
     """
     names = [record.name for record in source.channels]
     if channel not in names:
-        raise DataError(
-            f"recording '{source.name}' has no channel '{channel}'", hint=f"channels: {', '.join(names)}"
-        )
+        what = f"recording '{source.name}' has no channel '{channel}'"
+        raise DataError(what, hint=f"channels: {', '.join(names)}")
     column = names.index(channel)
     low, high = np.inf, -np.inf
     for block in source.blocks(READ_SAMPLES):

@@ -121,15 +121,12 @@ class Course:
 
 def settle_time(courses: Sequence[Course]) -> float:
     """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
-    where none is seen. What exceeds the noise, summed over dwells and channels, S_1 exp(-2 (t - t_1) / tau),
-    is seen up to t_1 and continued from there; of a/s standard deviations of a block a tau / (n T) is left in
-    the mean of n. DataError when the transient outlasts the dwells, and without a dwell. Equation
-    (frf-settle).
+    where none is seen: the excess over the noise is continued from where it is last seen. DataError when the
+    transient outlasts the dwells, and without a dwell. Equation (frf-settle).
     """
     if not courses:
-        raise DataError(
-            f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient", hint="state `settle`"
-        )
+        what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
+        raise DataError(what, hint="state `settle`")
     longest = max(float(course.times[-1]) for course in courses)
     edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
     time, excess, error = _bin_means(courses, edges)
@@ -340,7 +337,7 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
 
 
 def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """When the force alone is steady [s]: it gives the frequency, the more exactly the longer it is."""
+    """When the force alone is steady [s]: it gives the frequency."""
     try:
         return settle_time([Course(course.times, course.values[:, :1]) for course in courses])
     except DataError:
@@ -364,10 +361,8 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
             f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, "
             f"{needed:.3g} s are needed"
         )
-        raise DataError(
-            f"{what}: {settling.responses:.3g} s for its transient, then periods",
-            hint="longer dwells, or state `settle`; a slow sweep has none",
-        )
+        hint = "longer dwells, or state `settle`; a slow sweep has none"
+        raise DataError(f"{what}: {settling.responses:.3g} s for its transient, then periods", hint=hint)
     rough = samples[start : start + round(n_period / dwell.frequency)]
     period = round(1 / dwell.frequency)
     steady = samples[dwell.start + settling.samples(settling.force, dwell, rate) : dwell.stop - period, force]
@@ -417,7 +412,6 @@ def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], i
         if len(row) == len(recordings):
             rows.append(row)
     if not rows:
-        raise DataError(
-            "the recordings dwell at no frequency in common", hint="the same steps in every force direction"
-        )
+        what = "the recordings dwell at no frequency in common"
+        raise DataError(what, hint="the same steps in every force direction")
     return rows, sum(len(lines) for lines in recordings) - len(rows) * len(recordings)

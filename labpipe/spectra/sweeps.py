@@ -62,10 +62,8 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
         raise DataError(f"the force stays at no frequency for {LEAST_PERIODS} periods", hint=_HINT)
     curved = [_is_curved(times[first:last]) for first, last in pieces]
     if np.mean(curved) > 0.5:
-        raise DataError(
-            "the frequency of the force runs on: a sweep, no dwells",
-            hint="excitation: stepped-sine needs constant frequencies",
-        )
+        what = "the frequency of the force runs on: a sweep, no dwells"
+        raise DataError(what, hint="excitation: stepped-sine needs constant frequencies")
     dwells = []
     for first, last in pieces:
         begin, end = times[first], times[last - 1]
@@ -274,9 +272,8 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
         if sweep.level > LEAST_LEVEL * loudest and sweep.stop - sweep.start > LEAST_LENGTH * longest
     ]
     if all(sweep.steps for sweep in sweeps):
-        raise DataError(
-            "the frequency of the force stays and steps: dwells, no sweep", hint="excitation: stepped-sine"
-        )
+        what = "the frequency of the force stays and steps: dwells, no sweep"
+        raise DataError(what, hint="excitation: stepped-sine")
     return sweeps
 
 

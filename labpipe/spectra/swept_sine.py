@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from scipy import fft
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -99,10 +99,8 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     n_input = len(layout.inputs)
     if len(sweeps) < n_input:
         names = ", ".join(port.label for port in layout.inputs)
-        raise DataError(
-            f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})",
-            hint="one sweep or more for each force",
-        )
+        what = f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})"
+        raise DataError(what, hint="one sweep or more for each force")
     n_sample = _common_length(swept)
     blocks = np.concatenate(
         [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
@@ -118,7 +116,8 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     # The noise of one sweep is what the local fit leaves, beside its leakage.
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
         spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
-    parts = _with_repeats(_parts(spectra, layout), spectra, sweeps)
+    recorded = np.repeat(np.arange(len(swept)), [len(run.cuts) for run in swept])
+    parts = _with_repeats(_parts(spectra, layout, recorded, settings.degree), spectra, sweeps)
     assert parts.multiple_coherence is not None
     rates = rate_findings(
         spectra.frequency,
@@ -236,10 +235,8 @@ def _without_leakage(
     is_determined = np.all(local.spread < LARGEST_SPREAD, axis=(1, 2))
     leaking = _leaks(spectra.select(is_determined))
     if leaking and np.count_nonzero(is_determined) < 2:
-        raise DataError(
-            "the responses ring on at the ends of the record, and no line can be told from that",
-            hint="pauses between sweeps",
-        )
+        what = "the responses ring on at the ends of the record, and no line can be told from that"
+        raise DataError(what, hint="pauses between sweeps")
     taken = is_determined & leaking
     blocks = spectra.blocks.copy()
     blocks[:, taken, n_input:] -= local.leakage[taken].swapaxes(0, 1)
@@ -326,26 +323,37 @@ def _leaks(spectra: _Spectra) -> bool:
     return bool(np.any(mean > max(LEAKING, 1 + SURELY * error)))
 
 
-def _parts(spectra: _Spectra, layout: Layout) -> Parts:
-    n_input = len(layout.inputs)
+def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray, degree: int) -> Parts:
+    """The FRF by least squares over blocks, of recordings with the numbers *recorded* (n_block,)."""
+    n_input, n_block, local = len(layout.inputs), len(spectra.blocks), spectra.local
     channels = spectra.blocks.transpose(1, 2, 0)
     forces, responses = channels[:, :n_input], channels[:, n_input:]
     inverse = force_inverse(forces, layout)
     matrix = responses @ inverse
+    # Of noise s (n_block,) beside what is common to all (free - 2 shared diag(P) + shared |P|^2) s is left.
+    projection = inverse @ forces
+    leverage, free = np.einsum("lbb->lb", projection).real, local.width - degree - 1
+    shared = (n_block * free - local.dof) / n_input
+    left = np.diag(free - 2 * shared * leverage.mean(axis=0)) + shared * np.mean(abs(projection) ** 2, axis=0)
+    of_blocks = np.linalg.solve(left, local.of_blocks) * (local.dof / n_block)
+    # Blocks by their recording, and the force that is at its strongest.
+    size = np.mean(np.abs(forces) ** 2, axis=0)
+    strongest = np.argmax(size / np.max(size, axis=1, keepdims=True), axis=0)
+    groups = np.unique(n_input * recorded + strongest, return_inverse=True)[1]
+    blocks_of = np.eye(groups.max() + 1)[groups]
+    levels = noise_levels(
+        of_blocks.swapaxes(1, 2) @ blocks_of, blocks_of.mean(axis=0) * local.dof / local.width
+    )
     noise, per_line, width = _noise(spectra, responses - matrix @ forces, n_input)
+    if n_block > n_input:
+        scale = np.sqrt((n_block - n_input) / ((1 - leverage) @ blocks_of @ levels.T))
+        noise = noise * scale[:, :, None] * scale[:, None, :]
     half_width = next(n for n in range(1000) if per_line * _lines_averaged(width, n) >= ENOUGH_DOF)
     noise = pooled_residual(noise, matrix, half_width)
     if spectra.hidden is not None:
         # As a rule alike in all sweeps: more of them do not average it.
-        noise = noise + channels.shape[2] / n_input * spectra.hidden[:, :, None] * np.eye(matrix.shape[1])
-    # Blocks by the force that is at its strongest.
-    size = np.mean(np.abs(forces) ** 2, axis=0)
-    blocks_of = np.eye(n_input)[np.argmax(size / np.max(size, axis=1, keepdims=True), axis=0)]
+        noise = noise + n_block / n_input * spectra.hidden[:, :, None] * np.eye(matrix.shape[1])
     spread = np.einsum("lbi,lbj,be->leij", inverse, inverse.conj(), blocks_of, optimize=True)
-    local = spectra.local
-    levels = noise_levels(
-        local.of_blocks.swapaxes(1, 2) @ blocks_of, blocks_of.mean(axis=0) * local.dof / local.width
-    )
     covariance = covariance_of_parts(noise, spread, levels)
     power: FloatArray = np.mean(np.abs(responses) ** 2, axis=2)
     noise_power = np.einsum("loo->lo", noise).real

@@ -1,11 +1,5 @@
-"""The part of a recording that is synchronous with the shaft: runout and unbalance, fitted and subtracted.
-
-Runout and unbalance beside a periodic excitation: harmonics of the shaft, fitted to what is left after the
-mean over periods.
-
-x(t) = p(t) + Re sum_h X_h e^{j h theta(t)} with p periodic and free is linear; without the mean over the
-periods of both sides the normal equations hold X_h alone. A harmonic on a line of the excitation cannot be
-told from the response there, and the line is dropped.
+"""The part of a recording that is synchronous with the shaft: runout and unbalance, harmonics of the shaft
+that are fitted and subtracted; beside a periodic excitation to what is left after the mean over periods.
 """
 
 from __future__ import annotations
@@ -80,9 +74,8 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
-        raise DataError(
-            f"recording '{source.name}' is shorter than two revolutions", hint="give the speed in Hz or rpm"
-        )
+        what = f"recording '{source.name}' is shorter than two revolutions"
+        raise DataError(what, hint="give the speed in Hz or rpm")
     amplitude = _harmonics(source, motion, lines.harmonics)
     if lines.speed is not None:
         refined = steady(_refined(source, lines.speed), duration)

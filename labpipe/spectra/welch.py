@@ -410,10 +410,8 @@ class WelchAverage:
         if n_block == 0:
             have = sum(piece.shape[0] for piece in self._rest) / sample_rate
             need = self._window.size / sample_rate
-            raise DataError(
-                f"the recording is {have:g} s long, too short for one block of {need:g} s",
-                hint="shorten `block`",
-            )
+            what = f"the recording is {have:g} s long, too short for one block of {need:g} s"
+            raise DataError(what, hint="shorten `block`")
         matrix = self._products.matrix(columns, float(2 / (sample_rate * np.sum(self._window**2) * n_block)))
         frequency = np.array(self._lines) * (sample_rate / self._window.size)
         averages = effective_averages(self._window, self._step, n_block)

@@ -1,8 +1,4 @@
-"""Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage.
-
-Leakage of H1 by the spectrum of the window alone, of a force with a smooth spectrum: E[S_yu] / E[S_uu] =
-sum |W(w - v)|^2 H(v) / sum |W|^2.
-"""
+"""Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage."""
 
 from __future__ import annotations
 
@@ -62,10 +58,8 @@ def window_values(name: str, n_sample: int) -> FloatArray:
         if not np.sum(values) > 0:
             raise ValueError
     except (ValueError, TypeError):
-        raise ConfigError(
-            f"unknown window '{name}'",
-            hint="for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'",
-        ) from None
+        hint = "for example hann, hamming, blackman, flattop, boxcar, 'tukey 0.25'"
+        raise ConfigError(f"unknown window '{name}'", hint=hint) from None
     return values
 
 

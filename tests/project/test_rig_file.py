@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from labpipe.errors import ConfigError, ConfigErrors
+from labpipe.errors import ConfigError, ConfigErrors, DataError
 from labpipe.project.rig_file import load_rig, move
 from labpipe.records.rig import Rig, RigChannel, time_scale
 
@@ -198,7 +198,6 @@ def test_a_sensor_response_is_read_beside_its_rig(tmp_path: Path) -> None:
         ("t", 1.0),
         ("t [min]", 60.0),
         ("t(h)", 3600.0),
-        ("t [N]", 1.0),
         ("[s] t", 1.0),
         ("t [msec]", 1e-3),
         ("Time (microseconds)", 1e-6),
@@ -207,6 +206,25 @@ def test_a_sensor_response_is_read_beside_its_rig(tmp_path: Path) -> None:
 )
 def test_seconds_per_unit_of_the_time_column(column: str | None, scale: float) -> None:
     assert time_scale(column, {}) == scale
+
+
+@pytest.mark.parametrize(
+    ("stated", "scale"),
+    [
+        ("Milliseconds", 1e-3),
+        ("seconds since 2024-03-01 00:00", 1.0),
+        ("counts", None),
+        ("1", None),
+        ("N", None),
+    ],
+)
+def test_the_unit_that_a_file_states_for_its_time_is_one_of_time(stated: str, scale: float | None) -> None:
+    """By the prefixes of the SI; counts of an unknown clock are no seconds."""
+    if scale is not None:
+        assert time_scale("t", {"t": stated}) == scale
+        return
+    with pytest.raises(DataError, match=f"run.h5: 't' is in {stated}, no unit of time.*known: s, ms, us"):
+        time_scale("t", {"t": stated}, "run.h5")
 
 
 def test_a_rig_that_is_not_there(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from scipy.sparse import eye_array
 
 from labpipe.errors import DataError
-from labpipe.raw_files.mat import read_frf_mat, write_frf_mat, write_recording_mat
+from labpipe.raw_files.mat import load_hdf5_variables, read_frf_mat, write_frf_mat, write_recording_mat
 from labpipe.raw_files.table import open_table
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
@@ -122,6 +122,24 @@ def test_hdf5_in_blocks_with_attributes(tmp_path: Path, rng) -> None:
     chunks = list(table.chunks(["run/x", "run/m_2"]))
     assert max(len(chunk) for chunk in chunks) < N
     np.testing.assert_array_equal(np.concatenate(chunks), np.column_stack([x, m[1]]))
+
+
+def test_packed_numbers_of_hdf5_are_read_as_what_they_stand_for(tmp_path: Path) -> None:
+    """CF conventions, section 8.1: value = scale_factor * stored + add_offset, missing at _FillValue."""
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        for name in ("x", "m"):
+            file[name] = np.array([[-4, 0, 2, 32767]] * (1 if name == "x" else 2), np.int16)
+            file[name].attrs.update({"scale_factor": np.float32(0.5), "add_offset": [10.0]})
+        file["x"].attrs["_FillValue"] = np.int16(32767)
+    chunks = np.concatenate(list(open_table(tmp_path / "r.h5").chunks(["x", "m_2"])))
+    np.testing.assert_array_equal(chunks.T, [[8, 10, 11, np.nan], [8, 10, 11, 16393.5]])
+    np.testing.assert_array_equal(load_hdf5_variables(tmp_path / "r.h5", ["x"])["x"], [[8, 10, 11, np.nan]])
+    with h5py.File(tmp_path / "r.h5", "a") as file:
+        file["x"].attrs["scale_factor"] = "0.5"
+    with pytest.raises(
+        DataError, match=r"r\.h5: is not a readable HDF5 file \(scale_factor of /x is no number"
+    ):
+        open_table(tmp_path / "r.h5")
 
 
 def test_matlab_7_3_is_hdf5_behind_its_own_block(tmp_path: Path, rng) -> None:

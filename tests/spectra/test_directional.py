@@ -11,7 +11,9 @@ import pytest
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
-from labpipe.errors import DataError
+from labpipe.errors import ConfigError, DataError
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.convert import directional, two_sided
 from labpipe.spectra.measurement import measure
@@ -129,3 +131,12 @@ def test_one_direction_is_not_enough(rng: np.random.Generator) -> None:
         two_sided(plain)
     with pytest.raises(DataError, match="two forces"):
         directional(plain)
+
+
+@pytest.mark.parametrize("model", ["rotor-2dof", "mdof"])
+def test_matrices_of_directions_are_not_fitted_to_forward_and_backward_terms(
+    model: str, rng: np.random.Generator
+) -> None:
+    """K between forward and backward terms is complex: real coefficients would be those of another rotor."""
+    with pytest.raises(ConfigError, match=f"model {model} is of directions, not of forward and backward"):
+        identify(measured(ANISOTROPIC, rng), FitSettings(model, mass=1.0))

@@ -354,3 +354,28 @@ def test_a_sharp_resonance_keeps_the_noise_of_its_own_lines(rng: np.random.Gener
     assert found.frequency.tolist() == lines.tolist()
     ratio = found.variance[:, 0, 0] / true
     assert np.all(ratio[np.abs(lines - 60) < 4] == pytest.approx(1.0, abs=0.3))
+
+
+def test_noise_that_grows_with_the_level_of_a_recording_counts_where_it_acts(
+    rng: np.random.Generator,
+) -> None:
+    """A recording and ten times itself: with shares w of the power the variance of S_yr / S_rr is that of the
+    one times sum w^2 = (1 + 10^4) / 101^2; equal noise in both would give half of it.
+    """
+    r, v, w = rng.standard_normal((3, 64 * 64))
+    channels = tuple(
+        Channel(name, quantity, role, "x")
+        for name, quantity, role in (
+            ("r", "voltage", "reference"),
+            ("u", "force", "input"),
+            ("y", "displacement", "output"),
+        )
+    )
+    samples = np.column_stack([r, r + 0.2 * w, r + w + v])
+    settings = FrfSettings("random", block=1.0, overlap=0.0, reference=("r",), band=(3.0, 29.0))
+    one, both = (
+        measure([Recording(channels, level * samples, 64.0) for level in levels], settings).variance
+        for levels in ((1.0,), (1.0, 10.0))
+    )
+    assert one is not None and both is not None
+    assert np.median(both / one) == pytest.approx(10001 / 101**2, rel=0.06)

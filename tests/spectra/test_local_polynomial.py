@@ -189,3 +189,16 @@ def test_the_noise_of_a_column_is_that_of_its_own_recording() -> None:
     settings = FrfSettings("random", block="2 s", local="polynomial", band=(30.0, 300.0))
     variance = measure(sources, settings).variance.mean(axis=0)
     np.testing.assert_allclose(variance[:, 1] / variance[:, 0], 1.0, atol=0.15)
+
+
+def test_noise_that_grows_with_the_level_of_a_recording_is_told_from_one_block_of_each() -> None:
+    """Circular normal forces and noise, both ten times as large in the second block: the mean square of the
+    errors of H = 2 is the mean of the variance. It was half as much again, with what the strong block leaves
+    in the residual of the weak one.
+    """
+    rng = np.random.default_rng(3)
+    u, v = rng.standard_normal((2, 2, 4000, 1)) + 1j * rng.standard_normal((2, 2, 4000, 1))
+    level = np.array([1.0, 10.0])[:, None, None]
+    fit = local_polynomials(level * u, level * (2 * u + v), 2, 4, np.arange(2))
+    errors, variance = np.abs(fit.matrix[:, 0, 0] - 2) ** 2, fit.covariance[:, 0, 0].real
+    assert np.mean(errors) == pytest.approx(np.mean(variance), rel=0.1)

@@ -9,7 +9,6 @@ from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.simulate.linear import WhiteNoiseRig
 from labpipe.simulate.virtual_rigs import recordings
-from labpipe.spectra.convert import convert, dynamic_stiffness, dynamic_stiffness_covariance
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.quality import reciprocity
 from labpipe.spectra.settings import FrfSettings
@@ -91,27 +90,6 @@ def test_what_cannot_be_compared_is_refused(rng: np.random.Generator) -> None:
         reciprocity(
             FrequencyResponse(FREQUENCY, response.matrix, PORTS, PORTS, covariance=0 * response.covariance)
         )
-
-
-@pytest.mark.parametrize("form", ["receptance", "accelerance"])
-def test_covariance_of_the_dynamic_stiffness_is_the_scatter_of_inverses(form: str) -> None:
-    # Recipe: inverses of 20,000 noisy receptances; a tenth of the noise above, so that first order is enough.
-    rng = np.random.default_rng(23)
-    noise = (rng.normal(size=(20_000, 4)) + 1j * rng.normal(size=(20_000, 4))) / np.sqrt(2)
-    inverses = np.linalg.inv(TRUTH + 0.1 * (noise @ ROOT.T).reshape(-1, 2, 2)).reshape(-1, 4)
-    errors = inverses - np.linalg.inv(TRUTH).reshape(4)
-    observed = errors.T @ errors.conj() / 20_000
-    response = FrequencyResponse(FREQUENCY[:1], TRUTH[None], PORTS, PORTS, covariance=0.01 * COVARIANCE[None])
-    predicted = dynamic_stiffness_covariance(convert(response, form))[0]
-    scale = np.sqrt(np.outer(np.diag(observed).real, np.diag(observed).real))
-    np.testing.assert_allclose(predicted / scale, observed / scale, atol=0.04)
-    np.testing.assert_allclose(
-        dynamic_stiffness(convert(response, form))[0], np.linalg.inv(TRUTH), rtol=1e-12
-    )
-
-
-def test_without_covariance_there_is_none_of_the_stiffness() -> None:
-    assert dynamic_stiffness_covariance(FrequencyResponse(FREQUENCY[:1], TRUTH[None], PORTS, PORTS)) is None
 
 
 @pytest.mark.parametrize(("k_yx", "verdict"), [(30e3, "within the noise"), (-20e3, "beyond the noise")])

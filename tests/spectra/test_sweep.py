@@ -335,3 +335,18 @@ def test_the_noise_of_a_column_is_that_of_its_own_sweeps(count: int) -> None:
     variance = measure(sources, FrfSettings("sweep", band=(30.0, 90.0))).variance.mean(axis=0)
     # Of single sweeps the levels are those of a local fit, whose degrees of freedom are few.
     assert np.all(np.abs(np.log(variance[:, 1] / variance[:, 0])) < np.log(1.8 if count == 1 else 1.2))
+
+
+def test_noise_that_grows_with_the_level_of_a_recording_counts_where_it_acts() -> None:
+    """Least squares over sweeps of amplitudes a with noise a s has the variance s^2 sum a^4 / (sum a^2)^2;
+    s is drawn. What is left of it beside a common FRF is 2 % of that.
+    """
+    a = np.array([1.0, 10.0])
+    runs = [record(seed, UP) for seed in range(2)]
+    sources = [replace(run, samples=level * run.samples) for run, level in zip(runs, a, strict=True)]
+    response = measure(sources, replace(SWEEP, band=(25.0, 75.0)))
+    clean, power = motion(UP.samples(RATE, 1)), np.abs(fft.rfft(UP.samples(RATE, 1))) ** 2
+    lines = np.rint(response.frequency * clean.size / RATE).astype(int)
+    expected = clean.size * (0.01 * clean.std()) ** 2 / power[lines] * np.sum(a**4) / np.sum(a**2) ** 2
+    assert response.variance is not None
+    assert np.median(response.variance[:, 0, 0] / expected) == pytest.approx(1.0, rel=0.1)

@@ -303,7 +303,7 @@ class Bench(charts.Watch):
         self.cutter: running_fit.Cutter = running_fit.CUTTERS[self.frf.excitation](
             self.channels, self.sample_rate, self.frf
         )
-        self.layout = layout_of(self.channels, self.sample_rate)
+        self.layout = layout_of(self.cutter.channels, self.sample_rate)
         self.fits: list[FollowedFit] = []
         self.dropped = 0
         self._waiting: list[running_fit.Average] = []

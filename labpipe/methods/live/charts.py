@@ -41,15 +41,15 @@ LEVEL_LOOKS = (8, 16, 32, 64)
 OVERSHOOT = 1.166
 
 
-def cusum_limit(alarm: float, horizon: int = HORIZON, slack: float = SLACK) -> float:
-    """Limit h of a two-sided cumulative sum that raises a false alarm within *horizon* averages with the
+def cusum_limit(alarm: float) -> float:
+    """Limit h of a two-sided cumulative sum that raises a false alarm within HORIZON averages with the
     probability *alarm* [1].
 
-    Run length of one side (exp(2 k b) - 2 k b - 1) / (2 k^2), b = h + 1.166 (Siegmund 1985).
+    Run length of one side (exp(2 k b) - 2 k b - 1) / (2 k^2), k the SLACK, b = h + 1.166 (Siegmund 1985).
     """
 
     def excess(b: float) -> float:
-        return (np.expm1(2 * slack * b) - 2 * slack * b) / (2 * slack**2) - 2 * horizon / alarm
+        return (np.expm1(2 * SLACK * b) - 2 * SLACK * b) / (2 * SLACK**2) - 2 * HORIZON / alarm
 
     return float(scipy.optimize.brentq(excess, 0.1, 60.0)) - OVERSHOOT
 

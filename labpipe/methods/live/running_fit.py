@@ -21,6 +21,7 @@ from labpipe.errors import DataError
 from labpipe.estimation.model import DynamicModel
 from labpipe.records.recording import Channel
 from labpipe.spectra.bands import line_range
+from labpipe.spectra.channels import Lags
 from labpipe.spectra.impact import HitSearch, force_window, judged_hit
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
@@ -436,7 +437,9 @@ class HitCutter(_Cutter):
 
     def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
         assert settings.block is not None
-        super().__init__(channels, sample_rate, round(settings.block * sample_rate), settings)
+        # As in a run: of a late channel the block holds the hit, too.
+        self._lags = Lags(channels, sample_rate)
+        super().__init__(self._lags.channels, sample_rate, round(settings.block * sample_rate), settings)
         if len(self._forces) != 1:
             what = f"hits need one force, the rig has {len(self._forces)}"
             raise DataError(what, hint="one hammer per recording")
@@ -448,6 +451,7 @@ class HitCutter(_Cutter):
 
     def restart(self) -> None:
         self._search.restart()
+        self._lags.restart()
 
     def _level(self) -> float:
         usual = self._impact.trigger * max(self._sizes) if self._sizes else 0.0
@@ -455,7 +459,7 @@ class HitCutter(_Cutter):
 
     def add(self, block: FloatArray) -> Iterator[Average]:
         """The averages that the next samples (n, n_channel) [SI] complete."""
-        self._search.add(block)
+        self._search.add(self._lags.add(block))
         if not self._noise and not self._is_quiet_known():
             return
         for start, trigger, samples in self._search.hits(self._rest[self._force], self._level):

@@ -274,7 +274,9 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         fitted = _Fitted(jump.decays, columns, jump.pieces, jump.fitted)
     laws = _laws(fitted)
     missing = _missing(fitted, laws, settings.band)
-    laws = {} if missing and missing.white else _explaining(fitted.pieces, laws)
+    most = EXPLAINED * sum(piece.rows.shape[0] for piece in fitted.pieces)
+    explaining = (m for m, law in laws.items() if law.law.p_value >= MISMATCH_P or law.squares < most)
+    laws = {} if missing and missing.white else {mode: laws[mode] for mode in explaining}
     amplitudes = {
         mode: float(abs(fitted.fit.pieces[piece].amplitudes[mode, output]))
         for mode, (piece, output) in enumerate(fitted.strongest)
@@ -334,13 +336,6 @@ def _laws(fitted: _Fitted) -> dict[int, amplitude_law.FittedLaw]:
         for mode, (_, output) in enumerate(fitted.strongest)
     }
     return {mode: law for mode, law in laws.items() if amplitude_law.depends_on_amplitude(law)}
-
-
-def _explaining(
-    pieces: Sequence[likelihood.Piece], laws: dict[int, amplitude_law.FittedLaw]
-) -> dict[int, amplitude_law.FittedLaw]:
-    most = EXPLAINED * sum(piece.rows.shape[0] for piece in pieces)
-    return {mode: law for mode, law in laws.items() if law.law.p_value >= MISMATCH_P or law.squares < most}
 
 
 def _missing(

@@ -263,3 +263,24 @@ def test_what_is_a_hit_and_what_is_too_weak_goes_by_the_hits_so_far(trigger, fau
     hits = list(HitCutter(channels, rate, settings).add(samples))
     assert [hit.fault for hit in hits] == faults
     assert [hit.number for hit in hits] == list(range(1, len(faults) + 1))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_hits_of_a_late_channel_are_those_of_a_prompt_one(delay: float) -> None:
+    """A chain that is late by 0.1 s shows the same motion later: blocks of 0.5 s hold the same hit."""
+    rate, late = 1000.0, round(1000 * delay)
+    samples = 1e-3 * np.random.default_rng(1).normal(size=(2000, 2))
+    samples[400:405, 0] += 100.0
+    samples[400:, 1] += np.exp(-np.arange(1600) / 200)
+    shown = np.column_stack([samples[:, 0], np.roll(samples[:, 1], late)])
+    y = Channel("y", "displacement", "output", "x", delay=delay)
+    cutter = HitCutter((Channel("f", "force", "input", "x"), y), rate, FrfSettings("impact", block=0.5))
+    prompt = HitCutter(
+        (cutter.channels[0], Channel("y", "displacement", "output", "x")),
+        rate,
+        FrfSettings("impact", block=0.5),
+    )
+    (hit,) = [hit for block in np.split(shown, 4) for hit in cutter.add(block)]
+    (expected,) = prompt.add(samples)
+    np.testing.assert_allclose(hit.amplitude, expected.amplitude, rtol=0, atol=1e-5)
+    assert cutter.channels[1].delay == 0.0
