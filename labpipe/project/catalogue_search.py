@@ -89,7 +89,6 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 
 
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
-    """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN}
     chosen = (part for part in dataset_file.parts(folder) if _may_hold(part, criteria))
     tables = [dataset_file.read_part(part, columns) for part in chosen]
@@ -262,7 +261,6 @@ def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
 
 
 def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
-    """The difference with its p-value before the correction."""
     change = matrix_of([mine.changes, other.changes])
     first, second = mine.random_error, other.random_error
     error = p_value = None

@@ -171,7 +171,6 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
 
 
 def _figures_before(folder: Path) -> Iterator[str]:
-    """The figures that an earlier report left in a folder: beside an SVG that begins as labpipe's do."""
     from labpipe.document.charts import PROLOGUE
 
     for path in folder.glob("figure-[0-9][0-9]*.svg"):

@@ -242,7 +242,6 @@ def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChanne
 def _read_sums(
     sums: dict[str, Marked], reader: SumReader, recorded: list[RigChannel], faults: Faults
 ) -> tuple[Channel, ...]:
-    """The channels that are sums, written out in recorded channels."""
     settings: dict[str, ChannelSettings] = {}
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():
