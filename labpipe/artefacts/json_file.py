@@ -24,6 +24,7 @@ import numpy as np
 
 from labpipe.artefacts.digest import AGAIN, DamagedError, mismatch
 from labpipe.errors import cut
+from labpipe.quantities import parse_unit
 from labpipe.records.settings import Settings, settings_of
 
 # What an entry of another type than the declared one raises, here and where its record is checked at birth.
@@ -111,6 +112,9 @@ def _dataclass(entry: Any, kind: Any) -> Any:
             values[field.name] = field.metadata["null"]
         else:
             values[field.name] = record_of(value, hints[field.name])
+        if field.name.endswith("unit") and value:
+            # UnitError, a ValueError, for one that nobody could show.
+            parse_unit(value)
     return kind(**values)
 
 

@@ -237,16 +237,19 @@ def _fixed_mass(mass: Mass, n_dof: int) -> FloatArray | None:
 
 def force_direction(port: Port, dofs: list[str], setup: Setup) -> FloatArray:
     """Distribution of a force (n_dof,) [1]: on the output of its dof, or by its angle on x and y."""
-    if port.dof in dofs:
-        return np.eye(len(dofs))[dofs.index(port.dof)]
     angle = angle_of(port)
-    output_angles = [angle_of(output) for output in setup.outputs]
-    there = [output.place == port.place for output in setup.outputs]
-    if angle is None or None in output_angles or not any(there):
+    angles = np.array([angle_of(output) for output in setup.outputs], dtype=float)
+    there = np.array([output.place == port.place for output in setup.outputs])
+    if port.dof in dofs:
+        number = dofs.index(port.dof)
+        # An error of its direction lets it act on the other outputs there too.
+        turn = 0.0 if angle is None else np.cos(angle - angles) - np.cos(angles[number] - angles)
+        return np.eye(len(dofs))[number] + np.nan_to_num(turn) * there
+    if angle is None or np.any(np.isnan(angles)) or not np.any(there):
         hint = f"known dofs: {', '.join(dofs)}; measure there as well, or name forces with `input`"
         what = f"the force {port.label} acts on dof '{port.dof}', which has no response"
         raise ConfigError(what, hint=hint)
-    shares = np.cos(angle - np.array(output_angles, dtype=float)) * there
+    shares = np.cos(angle - angles) * there
     return np.where(np.abs(shares) < 1e-15, 0.0, shares)
 
 

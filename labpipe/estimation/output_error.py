@@ -29,7 +29,6 @@ from labpipe.estimation.weights import (
     fit_weights,
     is_short,
     short_weights,
-    weights_at,
     whitened,
     whitened_columns,
 )
@@ -227,7 +226,9 @@ class OutputError(Generic[Model]):
     def _residual_of(self, lines: slice, parameters: FloatArray) -> FloatArray:
         measured = self.measured
         residual = measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines])
-        return whitened(weights_at(self.weights, lines), residual)
+        weights = self.weights
+        there = weights.at(lines) if isinstance(weights, ProductWeights) else weights[lines]
+        return whitened(there, residual)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""

@@ -160,12 +160,13 @@ def design(values: FloatArray, variances: FloatArray, covariate: FloatArray | No
 
 def follows(values: FloatArray, variances: FloatArray, covariate: FloatArray) -> bool:
     """Whether five *values* (n,) [any unit] or more, *variances* (n,) of their noise, follow a *covariate*
-    (n,) [1] of some range by more than two standard errors by Hartung and Knapp.
+    (n,) [1] of some range by more than two standard errors.
     """
     if values.size < LEAST_FOR_COURSE or np.ptp(covariate) < LEAST_RANGE:
         return False
     turned = np.stack([covariate, np.ones_like(covariate)], axis=1)
-    slope, variance = hartung_knapp(values, variances, turned)
+    weights, variance = random_effects(values, variances, turned)
+    slope = float(weights @ values)
     return paule_mandel(values, variances, turned[:, 1:]) > 0 and abs(slope) > CURVED * np.sqrt(variance)
 
 
@@ -202,16 +203,16 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
     return bisected(lambda square: excess(square) > 0, 0.0, high)
 
 
-def hartung_knapp(values: FloatArray, variances: FloatArray, columns: FloatArray) -> tuple[float, float]:
-    """Value and variance q (X'WX)^-1_11 with q = sum w r^2 / (n - p), w = 1/(v + tau^2): the mean of a known
-    group. *columns* (n, n_column) [1]. Hartung and Knapp, Statistics in Medicine 20 (2001) 3875. Equation
-    (repeats-group).
+def random_effects(
+    values: FloatArray, variances: FloatArray, columns: FloatArray
+) -> tuple[FloatArray, float]:
+    """Weights (n,) [1] of the values in the first coefficient of *columns* (n, n_column) [1], and its
+    variance (X'WX)^-1_11 with w = 1/(v + tau^2) of Paule and Mandel: that of Hartung and Knapp, but never
+    below the noise. Equation (repeats-group).
     """
-    weights = 1 / (variances + paule_mandel(values, variances, columns))
-    inverse = np.linalg.inv(columns.T @ (weights[:, None] * columns))
-    solution = inverse @ columns.T @ (weights * values)
-    q = float(np.sum(weights * (values - columns @ solution) ** 2)) / max(values.size - columns.shape[1], 1)
-    return float(solution[0]), q * float(inverse[0, 0])
+    turned = columns.T / (variances + paule_mandel(values, variances, columns))
+    inverse = np.linalg.inv(turned @ columns)
+    return (inverse @ turned)[0], float(inverse[0, 0])
 
 
 def groups_of(patterns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
@@ -246,16 +247,12 @@ def mean_of_groups(
     Equation (repeats-group).
     """
     names, labels = list(dict.fromkeys(groups)), np.array(groups)
-    means, within = [], np.zeros((len(names), values.size))
+    within, noise = np.zeros((len(names), values.size)), np.empty(len(names))
     for number, name in enumerate(names):
         members = labels == name
         y, v = values[members], variances[members]
-        ones = np.ones((y.size, 1))
-        means.append((float(y[0]), float(v[0])) if y.size == 1 else hartung_knapp(y, v, ones))
-        weights = 1 / (v + (0.0 if y.size == 1 else paule_mandel(y, v, ones)))
-        within[number, members] = weights / weights.sum()
-    of_groups = np.array(means)
-    mean = repeat_mean(of_groups[:, 0], of_groups[:, 1], scale)
+        within[number, members], noise[number] = random_effects(y, v, np.ones((y.size, 1)))
+    mean = repeat_mean(within @ values, noise, scale)
     return replace(mean, weights=mean.weights @ within)
 
 

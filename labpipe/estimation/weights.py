@@ -345,11 +345,6 @@ def is_short(weights: Weights) -> bool:
     return isinstance(weights, ProductWeights) or weights.ndim == 2
 
 
-def weights_at(weights: Weights, lines: slice) -> Weights:
-    """The *weights* [N/m] of some *lines*."""
-    return weights.at(lines) if isinstance(weights, ProductWeights) else weights[lines]
-
-
 def short_weights(whitener: Weights) -> Weights:
     """Weights (n_line, n, n) [N/m] as diagonals (n_line, n) where all else is zero: independent noise."""
     if is_short(whitener):

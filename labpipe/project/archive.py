@@ -250,7 +250,6 @@ def _open(archive: zipfile.ZipFile, name: str, size: int) -> IO[bytes]:
 
 
 def _copy(chunks: Iterable[bytes], goal: IO[bytes]) -> str:
-    """Write the chunks; the SHA-256 of them all."""
     digest = hashlib.sha256()
     for chunk in chunks:
         digest.update(chunk)

@@ -92,10 +92,10 @@ def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
 
 
 def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    _, uncertainty = uncertain.split_uncertainty(written.dof)
+    text, uncertainty = uncertain.split_uncertainty(written.dof)
     if uncertainty:
         number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")
-        yield _of_channel(written, "direction", number, "dof")
+        yield _of_channel(written, "direction", number, f"dof {text}")
 
 
 def _of_chain(written: Written) -> Iterator[uncertain.ChannelUncertainty]:

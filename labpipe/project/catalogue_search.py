@@ -264,7 +264,6 @@ def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
 
 
 def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
-    """The difference with its p-value before the correction."""
     change = matrix_of([mine.changes, other.changes])
     first, second = mine.random_error, other.random_error
     error = p_value = None

@@ -233,7 +233,6 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
 
 
 def _covariance(first: Limited, second: Limited) -> float | None:
-    """The covariance of two numbers [product of their units]; None where it is not known."""
     by_sources = sum(by * second.changes.get(source, 0.0) for source, by in first.changes.items())
     if isinstance(first.owner, Comparison) or isinstance(second.owner, Comparison):
         if first.owner is not second.owner or not isinstance(first.owner, Comparison):

@@ -113,7 +113,6 @@ def result_of(artefact: Path, what: str) -> Identification:
 
 
 def _fits_with(kind: type[Any], artefact: Path, what: str, hint: str) -> tuple[tuple[Fit, Any], ...]:
-    """The fits that have a detail of a kind, with it; DataError where there is none."""
     pairs = ((fit, fit.detail(kind)) for fit in result_of(artefact, what).fits)
     with_detail = tuple(pair for pair in pairs if pair[1] is not None)
     if not with_detail:
@@ -164,7 +163,6 @@ def decay_table(artefact: Path) -> pd.DataFrame:
 def _write_measured(
     artefact: Path, target: Path, what: str, recording: Callable[..., None], frf: Callable[..., None]
 ) -> None:
-    """Write by the writer of recordings or of FRFs; DataError for what only tables hold."""
     tables = {
         measured_files.SPECTRA_SUFFIX: "spectra of all channels",
         measured_files.DECAY_SUFFIX: "free decays",

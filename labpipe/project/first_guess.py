@@ -232,7 +232,6 @@ def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
 
 
 def _measured_in(unit: str) -> str:
-    """The quantity that is recorded in a unit; nothing for a number or an unknown unit."""
     dimensions = _dimensions(unit)
     return next((name for name in _RECORDED if _si_dimension(name) in dimensions), "")
 
@@ -242,7 +241,6 @@ def _si_dimension(quantity: str) -> Dimension:
 
 
 def _dimensions(unit: str) -> list[Dimension]:
-    """The dimensions that a unit can have; none for an unknown one."""
     try:
         return [reading.dimension for reading in readings(unit)]
     except UnitError:

@@ -277,7 +277,6 @@ def _compare_item(rule: Rule, fit: Fit) -> deciding.Compared:
 
 
 def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deciding.Compared:
-    """A parameter, or an *attribute* of it such as its standard error, against the rule."""
     if attribute == "significant":
         text = str(bool(parameter.significant)).lower()
         return text, text == rule.bound, text, None

@@ -149,10 +149,6 @@ def measurement(recordings: Sequence[SampleSource], settings: FrfSettings, **of_
     return measure(recordings, settings, **of_test)
 
 
-def _kind_of_file(path: Path) -> _Kind | None:
-    return next((kind for kind in KINDS.values() if path.name.endswith(kind.suffix)), None)
-
-
 def measured_file_name(test: str, settings: FrfSettings | None) -> str:
     """The file name of a test's response, free decays or spectra."""
     return file_stem(test) + KINDS[RESPONSES if settings is None else settings.gives].suffix
@@ -209,7 +205,7 @@ def measure_test(
 
 def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> MeasuredTest:
     """What labpipe measured, or any ready response; *name*, *conditions*: of its test, for its own."""
-    kind = _kind_of_file(path)
+    kind = next((kind for kind in KINDS.values() if path.name.endswith(kind.suffix)), None)
     if kind is None or not path.is_file():
         # The readers of other programs' files are not imported by a run that reads its own responses.
         from labpipe.project.ready_response import load_response

@@ -135,9 +135,12 @@ def failed_result(test: Test, message: str) -> TestResult:
 
 
 def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
-    """What all rows of a test share: whose they are, of which day, at which conditions."""
+    """What all rows of a test share: whose they are, of which day, at which conditions. The day is that of
+    the condition `date`, else that on which the first file was last changed, in UTC.
+    """
+    day = stated_day(conditions) or change_day(files_of(test)[0])
     rig = next((source.rig.name for source in test.recordings if source.rig.name), UNNAMED)
-    return {"rig": rig, "date": day_of(test, conditions), "test": test.name, "conditions": dict(conditions)}
+    return {"rig": rig, "date": day, "test": test.name, "conditions": dict(conditions)}
 
 
 def stated_day(conditions: Mapping[str, str]) -> str:
@@ -146,11 +149,6 @@ def stated_day(conditions: Mapping[str, str]) -> str:
         return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
     except ValueError:
         return ""
-
-
-def day_of(test: Test, conditions: Mapping[str, str]) -> str:
-    """The day of a test: its condition `date`, else that on which its first file was last changed, in UTC."""
-    return stated_day(conditions) or change_day(files_of(test)[0])
 
 
 def files_of(test: Test) -> list[Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -170,6 +170,14 @@ def _figures_of(identification: Identification, folder: Path) -> dict[str, bytes
     return figure_files(build(identification) if whole else _summary(identification, folder))
 
 
+def _figures_before(folder: Path) -> Iterator[str]:
+    from labpipe.document.charts import PROLOGUE
+
+    for path in folder.glob("figure-[0-9][0-9]*.svg"):
+        if path.read_bytes().startswith(PROLOGUE.encode()):
+            yield from (path.with_suffix(ending).name for ending in (".svg", ".png", ".csv"))
+
+
 def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | None) -> None:
     if figures is not None and figures.exists() and not figures.is_dir():
         raise DataError("is a file, a folder is needed", figures)
@@ -178,5 +186,7 @@ def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | 
         target.write_bytes(content)
         if figures is not None:
             folder = outputs.enter_context(output_folder(figures))
+            for name in _figures_before(figures):
+                folder.outdate(name)
             for name, part in files.items():
                 folder.write_path(name).write_bytes(part)

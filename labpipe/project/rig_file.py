@@ -132,7 +132,17 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
 
     def moved(channel: Channel) -> Channel:
         dof = places.get(channel.name)
-        return channel if dof is None else replace(channel, dof=dof, angle=port_of(dof).angle)
+        if dof is None:
+            return channel
+        # A channel that is mounted anew has another error of its direction.
+        before, after = (f"{channel.name}.dof {place}" for place in (channel.dof, dof))
+        uncertainties = tuple(
+            replace(part, uncertainty=replace(part.uncertainty, source=after))
+            if part.uncertainty.source == before
+            else part
+            for part in channel.uncertainties
+        )
+        return replace(channel, dof=dof, angle=port_of(dof).angle, uncertainties=uncertainties)
 
     channels = tuple(replace(recorded, channel=moved(recorded.channel)) for recorded in rig.channels)
     return replace(rig, channels=channels, derived=tuple(map(moved, rig.derived)))
@@ -232,7 +242,6 @@ def _read_recorded(entries: dict[str, Marked], faults: Faults) -> list[RigChanne
 def _read_sums(
     sums: dict[str, Marked], reader: SumReader, recorded: list[RigChannel], faults: Faults
 ) -> tuple[Channel, ...]:
-    """The channels that are sums, written out in recorded channels."""
     settings: dict[str, ChannelSettings] = {}
     terms: dict[str, tuple[Term, ...]] = {}
     for name, entry in sums.items():

@@ -50,12 +50,10 @@ NOT_SHOWN = (
 
 
 def _quoted(content: object) -> str:
-    """A text, or several, as YAML takes it whatever stands in it."""
     return json.dumps(content, ensure_ascii=False)
 
 
 def _remark(line: str, words: str) -> str:
-    """A line with words that say why, below those of the other lines."""
     return f"{line:<31}# {words}"
 
 

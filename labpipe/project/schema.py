@@ -154,14 +154,12 @@ def bearing_schema() -> dict[str, Any]:
     return of_kinds("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
 
 
-def of_kinds(
-    title: str, key: str, kinds: Mapping[str, type], above: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """A mapping whose entry *key* names its kind, and settings of all kinds. *above*: further entries."""
+def of_kinds(title: str, key: str, kinds: Mapping[str, type]) -> dict[str, Any]:
+    """A mapping whose entry *key* names its kind, and settings of all kinds."""
     options = []
     for name, owner in kinds.items():
         schema = object_schema(owner)
-        schema["properties"] = {**(above or {}), **schema["properties"], key: {"enum": [name]}}
+        schema["properties"] = {**schema["properties"], key: {"enum": [name]}}
         options.append({**schema, "required": list(dict.fromkeys([key, *schema["required"]]))})
     return {"$schema": DRAFT, "title": f"labpipe {title}", "anyOf": options}
 

@@ -220,11 +220,6 @@ def listed_cases(studies: Studies) -> Iterator[ListedParameter]:
                     )
 
 
-def study_lines(studies: Studies) -> Iterator[str]:
-    """One line for every fit at every noise level, then the thresholds."""
-    return itertools.chain.from_iterable(map(_study_lines, studies))
-
-
 def _study_lines(study: Study) -> Iterator[str]:
     yield f"study on {study.rig}, seed {study.seed}"
     columns = (
@@ -254,5 +249,5 @@ STUDY = PipelineSection(
     outcome=study_outcome,
     parameters=listed_cases,
     report=study_sections,
-    terminal=study_lines,
+    terminal=lambda studies: itertools.chain.from_iterable(map(_study_lines, studies)),
 )

@@ -186,7 +186,6 @@ class Watch:
         self._seen = seen
 
     def _arrived(self) -> Iterator[Arrived]:
-        """Recordings that have no results yet, the oldest first."""
         home = self.home or self.results
         arrivals = arrived_in(self.folder, self.settings.names, self.settings.marker)
         new = (
@@ -306,7 +305,6 @@ class Watch:
 
     @property
     def _stays(self) -> bool:
-        """Whether bad recordings stay where they are."""
         return is_remote(self.folder) or self.home not in (None, self.results)
 
     def _log(self, event: str, test: str, **entries: object) -> None:

@@ -23,6 +23,7 @@ NUMBERS = st.floats(-1e12, 1e12, allow_nan=False) | st.sampled_from(
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=6) | st.sampled_from(
     ["y", "45 deg", "µm", 'Prüfstand "A"\n', "k_xx"]
 )
+UNITS = st.sampled_from(["", "1", "N/m", "m/(N.s^2)", "degC", "%"])
 LONGEST = 2
 
 
@@ -46,11 +47,16 @@ def any_of(hint: Any) -> st.SearchStrategy[Any]:
     if dataclasses.is_dataclass(hint):
         hints = get_type_hints(hint)
         return st.builds(
-            hint, **{field.name: any_of(hints[field.name]) for field in dataclasses.fields(hint)}
+            hint, **{field.name: _named(field.name, hints[field.name]) for field in dataclasses.fields(hint)}
         )
     if get_origin(hint) is np.ndarray:
         return array_of(hint)
     return {float: NUMBERS, int: st.integers(0, 10**9), str: TEXTS, bool: st.booleans()}[hint]
+
+
+def _named(name: str, hint: Any) -> st.SearchStrategy[Any]:
+    """Values of a declared type; units are known ones."""
+    return UNITS if name.endswith("unit") and hint is str else any_of(hint)
 
 
 def array_of(hint: Any) -> st.SearchStrategy[Any]:
@@ -101,7 +107,7 @@ def fits(draw: st.DrawFn) -> Fit:
     """A fit with everything that it may carry."""
     hints = get_type_hints(Fit)
     plain = {
-        f.name: draw(any_of(hints[f.name]))
+        f.name: draw(_named(f.name, hints[f.name]))
         for f in dataclasses.fields(Fit)
         if f.name not in ("curve", "correlation", "details")
     }

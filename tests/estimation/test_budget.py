@@ -145,7 +145,8 @@ def test_effective_degrees_of_freedom_are_welch_and_satterthwaite_s() -> None:
     assert np.isinf(known.dof[0])
 
 
-def test_directions_of_forces_make_cross_terms_uncertain(rng) -> None:
+@pytest.mark.parametrize(("model", "cross"), [("rotor-2dof", "k_xy"), ("mdof", "k_x_y")])
+def test_directions_of_forces_make_cross_terms_uncertain(rng, model: str, cross: str) -> None:
     """Two forces along x and y, one turned by half a degree: c_xy against refits with the direction
     changed.
     """
@@ -163,14 +164,14 @@ def test_directions_of_forces_make_cross_terms_uncertain(rng) -> None:
         response = FrequencyResponse(
             w / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2))
         )
-        return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
+        return identify(response, FitSettings(model, mass=0.9, name="r"))[0]
 
     fit, (up, down) = fitted(0.0), [fitted(sign * np.radians(0.5)) for sign in (1, -1)]
     assert fit.budget is not None
     for name, combined in zip(fit.budget.names, fit.budget.combined, strict=True):
         expected = (up.parameter(name).value - down.parameter(name).value) / 2
         assert fit.budget.change_by("fx.dof", name) == pytest.approx(expected, abs=0.02 * combined)
-    assert next(iter(fit.budget.shares("k_xy"))) == "fx.dof"
+    assert next(iter(fit.budget.shares(cross))) == "fx.dof"
 
 
 def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:

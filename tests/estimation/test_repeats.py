@@ -9,11 +9,11 @@ from labpipe.errors import FitError
 from labpipe.estimation.repeated import RepeatValues, prior_scale
 from labpipe.estimation.repeats import (
     Kept,
-    hartung_knapp,
     kept_repeats,
     mean_of_groups,
     order_in_time,
     paule_mandel,
+    random_effects,
     repeat_mean,
 )
 from labpipe.estimation.statistics import student_limit
@@ -60,13 +60,13 @@ def test_the_bad_repeat_of_the_reference_set_is_dropped() -> None:
 def test_hartung_and_knapp_as_in_the_reference() -> None:
     y, v = (values[:5] for values in both())
     ones = np.ones((5, 1))
-    value, variance = hartung_knapp(y[:, 0], v[:, 0], ones)
-    assert value == pytest.approx(4.60523026677332, abs=1e-9)
+    weights, variance = random_effects(y[:, 0], v[:, 0], ones)
+    assert weights @ y[:, 0] == pytest.approx(4.60523026677332, abs=1e-9)
     assert student_limit(4) * np.sqrt(variance) == pytest.approx(0.0010791032535682748, rel=1e-5)
     assert np.sqrt(paule_mandel(y[:, 1], v[:, 1], ones)) == pytest.approx(0.07828903962422379, rel=1e-5)
     order = np.stack([np.ones(5), np.arange(5) - 2.0], axis=1)
-    value, variance = hartung_knapp(y[:, 1], v[:, 1], order)
-    assert value == pytest.approx(-4.608016333869893, abs=1e-7)
+    weights, variance = random_effects(y[:, 1], v[:, 1], order)
+    assert weights @ y[:, 1] == pytest.approx(-4.608016333869893, abs=1e-7)
     assert student_limit(3) * np.sqrt(variance) == pytest.approx(0.003358004463079305, rel=1e-5)
 
 
@@ -139,6 +139,14 @@ def test_groups_are_the_repeats(rng: np.random.Generator) -> None:
     assert grouped.half_width > 2 * repeat_mean(rng.permutation(y), v, 0.3).half_width
     single = mean_of_groups(y[:3], v[:3], ["a", "b", "c"], 0.3)
     assert single.half_width == repeat_mean(y[:3], v[:3], 0.3).half_width
+
+
+def test_repeats_of_a_group_that_agree_by_chance_keep_their_noise() -> None:
+    """Two equal values of variance 1 have a mean of variance 1/2."""
+    grouped = mean_of_groups(np.array([0.0, 0.0, 1.0, 1.0]), np.ones(4), list("aabb"), 0.3)
+    single = repeat_mean(np.array([0.0, 1.0]), np.full(2, 0.5), 0.3)
+    assert grouped.half_width == pytest.approx(single.half_width, rel=1e-12)
+    assert grouped.weights == pytest.approx(np.full(4, 0.25))
 
 
 @pytest.mark.parametrize("sizes", [(3, 3, 3), (2, 2, 2, 2), (1, 1, 6), (5, 5)])

@@ -36,8 +36,12 @@ def uncertainties_of(tmp_path: Path, entry: str) -> tuple[ChannelUncertainty, ..
         ),
         (f"{PROBE}, uncertainty: {{phase: 1 deg}}", "phase", Uncertainty("x.phase", math.pi / 180, "rad")),
         (f"{PROBE}, delay: 10 us +- 2 us", "delay", Uncertainty("x.delay", 2e-6, "s")),
-        (f"{PROBE}, dof: 45 deg +- 0.5 deg", "direction", Uncertainty("x.dof", math.radians(0.5), "rad")),
-        (f"{PROBE}, dof: x +- 0.5 deg", "direction", Uncertainty("x.dof", math.radians(0.5), "rad")),
+        (
+            f"{PROBE}, dof: 45 deg +- 0.5 deg",
+            "direction",
+            Uncertainty("x.dof 45 deg", math.radians(0.5), "rad"),
+        ),
+        (f"{PROBE}, dof: x +- 0.5 deg", "direction", Uncertainty("x.dof x", math.radians(0.5), "rad")),
         (
             "quantity: displacement, unit: V, sensitivity: {value: 8 V/mm, limits: 1 %, shape: rectangular, "
             "source: calibrator 7}",

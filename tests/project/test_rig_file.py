@@ -233,5 +233,10 @@ def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
 
 
 def test_a_channel_that_moves_keeps_an_angle_as_direction(tmp_path: Path) -> None:
-    found = move(rig(tmp_path, "sample_rate: 1 kHz\nchannels:\n  f: {quantity: force}\n"), {"f": "45 deg"})
-    assert found.channels[0].channel.angle == pytest.approx(math.pi / 4)
+    force = "{quantity: force, unit: V, sensitivity: 1 V/N +- 1 %, dof: x +- 1 deg}"
+    text = f"sample_rate: 1 kHz\nchannels:\n  f: {force}\n"
+    found = move(rig(tmp_path, text), {"f": "45 deg"}).channels[0].channel
+    assert found.angle == pytest.approx(math.pi / 4)
+    # It is the same sensor, mounted anew.
+    sources = {part.effect: part.uncertainty.source for part in found.uncertainties}
+    assert sources == {"gain": "f.sensitivity 1 V/N", "direction": "f.dof 45 deg"}

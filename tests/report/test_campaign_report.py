@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from labpipe.artefacts.identification_file import write_identification
+from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.cli.report import report
 from labpipe.document.charts import figure_files
 from labpipe.document.render import DOCUMENTS
@@ -195,6 +196,18 @@ def test_the_numbers_of_every_figure_come_as_csv() -> None:
     assert files == figure_files(document)
 
 
+def test_a_unit_that_nobody_knows_is_refused_with_its_file(tmp_path: Path) -> None:
+    ((_, result),) = campaign([10000.0])
+    path = tmp_path / "identification.json"
+    write_identification(path, result)
+    edited = json.loads(path.read_text("utf-8").replace('"unit": "N/m"', '"unit": "N/mn"'))
+    del edited["digest"]
+    path.write_text(json.dumps(edited), "utf-8")
+    with pytest.raises(DataError, match=r"or edited \(UnitError: unknown unit 'mn'\)") as caught:
+        read_identification(path)
+    assert caught.value.where == str(path)
+
+
 def test_figures_hold_the_tests_the_trend_and_the_limits() -> None:
     document = campaign_document(campaign([10000.0, 10040.0, 9970.0, 10600.0]))
     figures = [
@@ -219,6 +232,16 @@ def test_the_command_reads_a_folder_of_results_and_writes_all_or_nothing(tmp_pat
         catch_exceptions=False,
     )
     assert done.exit_code == 0 and page.exists() and len(list(figures.iterdir())) == 6
+    # Of an earlier report, which had one figure more; and a drawing of somebody else.
+    for path in list(figures.glob("figure-02-*")):
+        path.rename(figures / path.name.replace("figure-02", "figure-09"))
+    (figures / "figure-08-mine.svg").write_text("<svg/>")
+    CliRunner().invoke(
+        report,
+        [str(tmp_path / "results"), "-o", str(page), "--figures", str(figures)],
+        catch_exceptions=False,
+    )
+    assert len(list(figures.iterdir())) == 7 and not list(figures.glob("figure-09*"))
     (tmp_path / "file").write_text("")
     refused = CliRunner().invoke(
         report,

@@ -114,7 +114,7 @@ def baseline_of(fit: Fit) -> Baseline:
     values, vectors = np.linalg.eigh(shown.noise / np.outer(scale, scale))
     changes = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
     uncertainties = (GivenUncertainty(label, changes), *shown.uncertainties)
-    return Baseline(fitted_model(shown), shown.values, uncertainties, fit.test)
+    return Baseline(fitted_model(shown), shown.values, uncertainties, fit.test, fit.band_hz)
 
 
 def fitted_model(shown: DynamicStiffness) -> StiffnessModel:
@@ -296,6 +296,8 @@ def dynamic_stiffness_fits(spectra: ChannelSpectra, settings: FitSettings) -> tu
     if not isinstance(settings.mass, float) and settings.mass != ESTIMATE:
         raise SettingError("mass", "the stator has one mass", "for example stator_mass: 60 kg +- 0.6 kg")
     section: DynamicStiffnessSettings = settings.model_settings
+    if settings.mass != ESTIMATE and section.stator_mass is not None:
+        raise SettingError("mass", "the mass of the stator is given twice", "leave out mass or stator_mass")
     if section.forms != COMPARED and not settings.compare:
         raise SettingError("forms", "'forms' are those of `compare: true`", "form: NAME for one")
     if section.fitted_baseline is not None and section.fitted_baseline.test == spectra.name:
@@ -397,6 +399,7 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
         mass = dict(settings.uncertainties).get("mass", Uncertain(settings.mass))
     mass = None if mass == NONE else mass
     given = Given(mass, given_baseline(section), section.motion == "absolute")
+    _check_band(stator, given.baseline)
     if mass is not None and effective_forces(stator):
         what = "the forces are without the stator's inertia already"
         raise SettingError("stator_mass", what, "stator_mass: 0 kg")
@@ -409,6 +412,18 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
         hint = "measure accelerations in x and y; motion: absolute where the displacements are absolute"
         raise ConfigError(what, hint=hint)
     return given
+
+
+def _check_band(stator: Stator, baseline: Baseline | None) -> None:
+    """SettingError for lines beyond the band of the baseline by a whole line: its model holds there alone."""
+    if baseline is None:
+        return
+    lines, (low, high) = stator.omega / (2 * np.pi), baseline.band
+    spacing = np.min(np.diff(lines))
+    if lines[0] <= low - spacing or lines[-1] >= high + spacing:
+        band = f"{low:.6g}-{high:.6g} Hz"
+        what = f"the lines reach from {lines[0]:.6g} to {lines[-1]:.6g} Hz, the baseline was fitted in {band}"
+        raise SettingError("baseline", what, f"band: {band}, or fit the baseline in a wider band")
 
 
 def _statement(given: float | None, spectra: ChannelSpectra, condition: str, unit: str) -> float | None:

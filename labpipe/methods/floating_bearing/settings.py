@@ -42,13 +42,14 @@ Respond = Callable[[ComplexArray], NDArray[Any]]
 @dataclass(frozen=True)
 class Baseline:
     """Dynamic stiffness of what holds the stator beside the bearing: values (n,) [parameter units] of a
-    *model*, with *uncertainties*; *test*: that of the fit which they are from.
+    *model*, with *uncertainties*; *test* and *band* [Hz]: those of the fit which they are from.
     """
 
     model: StiffnessModel
     values: FloatArray
     uncertainties: tuple[GivenUncertainty, ...]
     test: str = ""
+    band: tuple[float, float] = (0.0, np.inf)
 
     def stiffness(self, omega: FloatArray) -> ComplexArray:
         """Z_b (n_line, 2, 2) [N/m] at omega (n_line,) [rad/s]."""

@@ -102,7 +102,6 @@ def _product(a: ComplexArray, b: ComplexArray) -> ComplexArray:
 
 
 def _root(polynomial: FloatArray) -> float | None:
-    """The root that is the only one without added mass."""
     second, first, constant = (float(value) for value in polynomial)
     inside = first**2 - 4 * second * constant
     if inside < 0 or first == 0:
@@ -122,9 +121,8 @@ def _fieller(
     scaled = polynomial * scales
     spread = (slopes * scales).T @ covariance @ (slopes * scales)
     variance = np.zeros(5)
-    for i in range(3):
-        for j in range(3):
-            variance[i + j] += spread[i, j]
+    for (i, j), part in np.ndenumerate(spread):
+        variance[i + j] += part
     roots = np.roots(np.convolve(scaled, scaled) - limit**2 * variance)
     real = unit * np.sort(roots[np.abs(roots.imag) <= REAL * np.maximum(np.abs(roots), 1e-9)].real)
     below, above = real[real <= square], real[real >= square]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,9 +53,7 @@ class LinearBearingSettings(Settings):
         return np.array([[diagonal[0], self.c_yz], [self.c_zy, diagonal[1]]])
 
 
-def linear_coefficients(each: Sequence[LinearBearingSettings]) -> list[BearingCoefficients]:
-    """The coefficients as they are stated."""
-    return [BearingCoefficients(("y", "z"), settings.stiffness, settings.damping) for settings in each]
-
-
-LINEAR = BearingKind(LinearBearingSettings, linear_coefficients)
+LINEAR = BearingKind(
+    LinearBearingSettings,
+    lambda each: [BearingCoefficients(("y", "z"), stated.stiffness, stated.damping) for stated in each],
+)

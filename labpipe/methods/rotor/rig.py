@@ -68,10 +68,6 @@ class BearingPlace:
         uncertain = tuple(entry for entry in ends if entry.above != entry.below)
         return replace(self, bearing=changed(self.bearing), uncertainties=uncertain)
 
-    def of_source(self, source: str) -> list[UncertainBearing]:
-        """The numbers whose uncertainty is of a *source*."""
-        return [entry for entry in self.uncertainties if entry.uncertainty.source == source]
-
     def film(self, method: str) -> JournalBearing:
         """The journal bearing. ConfigError that names the *method* which needs its oil film, where there is
         none.
@@ -199,7 +195,11 @@ class RotorRig:
         for each that a bearing has, whose changes add up.
         """
         rigs = []
-        for entries in zip_longest(*(place.of_source(source) for place in self.bearings)):
+        of_source = (
+            [entry for entry in place.uncertainties if entry.uncertainty.source == source]
+            for place in self.bearings
+        )
+        for entries in zip_longest(*of_source):
             pairs = list(zip(self.bearings, entries, strict=True))
             above = [replace(place, bearing=entry.above) if entry else place for place, entry in pairs]
             below = [replace(place, bearing=entry.below) if entry else place for place, entry in pairs]

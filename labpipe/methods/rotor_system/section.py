@@ -223,7 +223,6 @@ def _sure(probability: float) -> str:
 
 
 def _text(value: float, error: float, unit: str) -> str:
-    """A value with its error; unbalance as balancers write it."""
     return with_error(UM * value, UM * error, "g mm") if unit == "kg.m" else amount_text(value, error, unit)
 
 

@@ -201,6 +201,18 @@ def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
     assert np.sqrt(np.sum(uncertainty.changes**2, axis=0)) == pytest.approx(errors, rel=1e-9)
 
 
+def test_a_baseline_holds_in_its_band() -> None:
+    """One line beyond it is no extrapolation, two are."""
+    lines = drawn(RIG).frequency
+    keys = {"motion": "absolute", "stator_mass": "60 kg"}
+    dry = replace(fitted(drawn(RIG.dry()), band=(lines[2], lines[-3]), **keys), name="dry")
+    with pytest.raises(ConfigError, match="the baseline was fitted in") as error:
+        fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="60 kg")
+    assert error.value.field == "baseline"
+    band = (lines[2] - 0.4 * (lines[2] - lines[1]), lines[-3])
+    assert fitted(drawn(RIG), (dry,), baseline="dry", stator_mass="60 kg", band=band).converged
+
+
 def test_a_baseline_is_named_by_its_fit_or_its_test() -> None:
     dry = replace(fitted(drawn(RIG.dry()), motion="absolute", stator_mass="60 kg"), name="hoses", test="dry")
     by_fit, by_test = (
@@ -390,6 +402,7 @@ def test_forces_and_probes_at_an_angle_are_turned_into_x_and_y() -> None:
         ({"sliding": {"width": 20.0, "step": 5.0}}, ConfigError, "'sliding' is not for"),
         ({"eliminate": True}, ConfigError, "'eliminate' is not for"),
         ({"mass": [1.0, 2.0]}, ConfigError, "the stator has one mass"),
+        ({"mass": 60.0, "stator_mass": "61 kg"}, ConfigError, "the mass of the stator is given twice"),
         ({"input": "q"}, ConfigError, "no force channel 'q'"),
         (
             {"output": "dx"},
