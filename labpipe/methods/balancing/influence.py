@@ -288,7 +288,7 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
 
 
 def _unreached(knowledge: Influence) -> ComplexArray:
-    """What no weights change (n_line,) [unit of the readings], less its noise; zero where it is that alone."""
+    """What no weights change (n_line,) [unit of the readings], less its noise; zero where that is all."""
     whole = np.concatenate([[1.0], best_weights(knowledge.square)])
     deviation, n_free = np.sqrt(knowledge.variance_with(whole)), len(knowledge.mean) - whole.size + 1
     scaled = knowledge.mean / deviation[:, None]
