@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import gammaincc
 
 from labpipe.errors import DataError
 from labpipe.records.response import FrequencyResponse, Port
@@ -42,6 +43,27 @@ def test_p_values_are_spread_evenly_where_reciprocity_holds(dof: float) -> None:
         assert np.mean(np.array(values) < level) == pytest.approx(
             level, abs=4 * np.sqrt(level * (1 - level) / 400) + 0.02
         )
+
+
+@pytest.mark.parametrize(
+    ("differences", "dof", "expected"),
+    [
+        # Two lines without correlation, |d|^2 / var of a sum s = 6: two exponentials, (1 + s) e^-s.
+        ([6**0.5, 0], np.inf, 7 * np.exp(-6)),
+        # Four degrees of freedom: a gamma of shape 2 (1 - 2 / 4) = 1, the mean 3 times 3 / 4.
+        ([6**0.5, 0], 4.0, np.exp(-3 * 3 / 4)),
+        # Four alike: r = 3/4, 1/2, 1/4, less 1/4 of their squares by chance, so 4 / (1 + 2 * 5/16) lines.
+        ([1, 1j, -1, -1j], np.inf, gammaincc(32 / 13, 32 / 13)),
+    ],
+)
+def test_a_p_value_by_hand(differences: list[complex], dof: float, expected: float) -> None:
+    matrix = np.tile(TRUTH, (len(differences), 1, 1))
+    matrix[:, 0, 1] += differences
+    covariance = np.tile(np.eye(4) / 2, (len(differences), 1, 1))
+    response = FrequencyResponse(
+        FREQUENCY[: len(differences)], matrix, PORTS, PORTS, covariance=covariance, covariance_dof=dof
+    )
+    assert reciprocity(response)[0].p_value == pytest.approx(expected, rel=1e-9)
 
 
 def test_noise_shared_between_lines_is_counted() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.distributions import chi2_tail
 from labpipe.errors import DataError
 from labpipe.methods.rotor.posterior import root_of
 
@@ -22,6 +23,8 @@ from labpipe.methods.rotor.posterior import root_of
 DRAWS, SEED = 4000, 20261125
 # Truths over which one more run is looked at.
 TRIED = 200
+# Chance below which what no weights change is no noise.
+BY_CHANCE = 1e-4
 COVERED = (2.5, 97.5)
 
 
@@ -69,6 +72,10 @@ class Influence:
         """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [units of the mean]."""
         parts, turn = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape), np.array([1, 1j])
         return np.asarray(np.einsum("p,pliqlj,q->lij", turn, parts, turn.conj()))
+
+    def variance_with(self, whole: ComplexArray) -> FloatArray:
+        """Of z_0 + alpha w (n_line,) [unit of the readings squared], *whole* (1, w)."""
+        return np.asarray((self.covariance @ whole.conj() @ whole).real)
 
     @property
     def square(self) -> ComplexArray:
@@ -280,6 +287,18 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
     return np.asarray(middle - fixed + within + share * fixed + np.sqrt(share) * beyond)
 
 
+def _unreached(knowledge: Influence) -> ComplexArray:
+    """What no weights change (n_line,) [unit of the readings], less its noise; zero where that is all."""
+    whole = np.concatenate([[1.0], best_weights(knowledge.square)])
+    deviation, n_free = np.sqrt(knowledge.variance_with(whole)), len(knowledge.mean) - whole.size + 1
+    scaled = knowledge.mean / deviation[:, None]
+    left = scaled @ np.concatenate([[1.0], -np.linalg.pinv(scaled[:, 1:]) @ scaled[:, 0]])
+    excess = float(np.sum(np.abs(left) ** 2))
+    if n_free < 1 or chi2_tail(2 * excess, 2 * n_free) >= BY_CHANCE:
+        return 0 * left
+    return np.asarray(left * deviation * np.sqrt(1 - n_free / excess))
+
+
 def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
     """Expected root mean square of what is left as a reading shows it [unit of the readings] if one more run
     with the weights (n_plane,) [kg m] of each candidate came first: over draws of the truth, whose readings
@@ -289,13 +308,15 @@ def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, Compl
     rng = np.random.default_rng(SEED + 2)
     truths = knowledge.draws(TRIED)
     if not knowledge.modelled:
-        # Unbalance in the planes: what they cannot make is no part of the truth.
-        truths[..., 0] = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
+        # Unbalance in the planes, and what they cannot make unless noise explains it.
+        made = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
+        truths[..., 0] = made + _unreached(knowledge)
     scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
     expected = {}
     for name, weights in candidates.items():
         whole = np.concatenate([[1.0], weights])
-        variance = noise.variance(knowledge.mean @ whole)
+        square = np.abs(knowledge.mean @ whole) ** 2 + knowledge.variance_with(whole)
+        variance = noise.variance(np.sqrt(square))
         gain, joint, _ = knowledge.gain(weights, variance, np.arange(n_line))
         means = knowledge.moved(gain, (truths - knowledge.mean) @ whole + np.sqrt(variance) * scatter).mean
         spread = replace(knowledge, joint=joint).covariance.sum(axis=0).T

@@ -300,11 +300,26 @@ def model_errors(
                 shifted = shifted + mode_moved.shifts[seen]
         points = seen, shifted, of_points
         unmoved = without_load(*points, refined.shapes[:, mode]) if moving else {}
-        differing = {
-            f"{name}_{number}": interval for name, interval in (unmoved or mean_of_points(*points)).items()
-        }
-        errors_by_mode[number] = ModelError(mixed, rows, differing, unloaded=bool(unmoved))
+        apart = _apart(unmoved or mean_of_points(*points), number, values)
+        errors_by_mode[number] = ModelError(mixed, rows, apart, unloaded=bool(unmoved))
     return errors_by_mode
+
+
+def _apart(
+    differing: Mapping[str, tuple[float, float, float]], number: int, values: Mapping[str, float]
+) -> dict[str, tuple[float, float, float]]:
+    """Mean and ends of ln f_n and ln zeta, of eta = 2 zeta, and under a given mass of k ~ f_n^2 and c, which
+    hardly has another error than zeta.
+    """
+    found = {f"{name}_{number}": ends for name, ends in differing.items()}
+    for name, of, power in (("eta", "zeta", 1), ("k", "f_n", 2), ("c", "zeta", 1)):
+        value = values.get(f"{name}_{number}", 0.0)
+        if differing and value > 0 and (name == "eta" or f"m_{number}" not in values):
+            base = value / 2 if name == "eta" else values[f"{of}_{number}"]
+            offset = float(np.log(value) - power * np.log(base))
+            mean, low, high = differing[of]
+            found[f"{name}_{number}"] = (power * mean + offset, power * low + offset, power * high + offset)
+    return found
 
 
 def _judge(
@@ -497,7 +512,8 @@ def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:
 def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, StatedRow]:
     """f_n and zeta of the filtered line.
 
-    M ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude.
+    M ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude, which at the driving
+    point is that of one FRF; under a given mass k ~ w^2, c ~ zeta w.
     """
     kept = base.theta[base.model.kept]
     unit = np.eye(kept.size)
@@ -506,10 +522,13 @@ def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, Stat
     if (factor := values.get(f"eta_{number}", 0.0)) > 0:
         # A loss factor is twice the damping ratio of the same peak.
         rows[f"eta_{number}"] = StatedRow(unit[1], float(np.log(factor) - kept[1]))
-    for letter, row in (("m", amplitude - unit[0]), ("k", amplitude + unit[0]), ("c", amplitude + unit[1])):
+    alone = f"m_{number}" in values
+    of_mass = amplitude - unit[0] if alone else np.zeros(kept.size)
+    for letter, row in (("m", of_mass), ("k", of_mass + 2 * unit[0]), ("c", of_mass + unit[0] + unit[1])):
         value = values.get(f"{letter}_{number}", 0.0)
         if value != 0:
-            rows[f"{letter}_{number}"] = StatedRow(row, float(np.log(abs(value)) - row @ kept))
+            offset = float(np.log(abs(value)) - row @ kept)
+            rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=alone)
     return rows
 
 

@@ -53,6 +53,9 @@ class Material:
             raise ConfigError(f"Poisson's ratio lies between -1 and 0.5, not at {self.poisson:g}")
 
 
+# Largest length over diameter of an element: beyond it no digits of its stiffness are left.
+SLENDEREST = 1e5
+
 STEEL = Material(7800.0, 2.1e11, 0.796e11, name="steel")
 ALUMINIUM = Material(2700.0, 0.7e11, 0.27e11, name="aluminium")
 
@@ -69,6 +72,9 @@ class ShaftElement:
     def __post_init__(self) -> None:
         _refuse_unless_positive("shaft element", self, ("length", "outer_diameter"))
         _refuse_bore("shaft element", self.inner_diameter, self.outer_diameter)
+        if self.length > SLENDEREST * self.outer_diameter:
+            what = f"a shaft element of {self.length:g} m length has a diameter of {self.outer_diameter:g} m"
+            raise ConfigError(what, hint="check lengths and diameters")
 
     @property
     def area(self) -> float:

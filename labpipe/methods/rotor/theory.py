@@ -34,6 +34,8 @@ FINE, CLOSER, SHARPEST = 1500, 201, 1e-8
 AmplitudeAt = Callable[[FloatArray], FloatArray]
 # Amplitudes [m] below which a point is at rest: what they are to the power of -2 is still a number.
 AT_REST = 1e-150
+# Share of the speeds that are peaks above which there is nothing but rounding, whose third are.
+ROUNDED = 0.25
 # Difference of ln speed up to which two peaks are one: of sharp ones, and at most.
 ALIKE = 0.01, 0.03
 # Amplification below which API 684 sees no critical speed.
@@ -259,22 +261,25 @@ def peaks(
     speed: FloatArray, amplitude: FloatArray, node: int = 0, finer: AmplitudeAt | None = None
 ) -> list[Critical]:
     """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds; none of a
-    point at rest. What is sharper than the speeds tell is looked at at others, with *finer*.
+    point at rest, be it but for rounding. What is sharper than the speeds tell is looked at at others, with
+    *finer*.
     """
-    if np.min(amplitude) < AT_REST:
+    places = np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1
+    if np.min(amplitude) < AT_REST or places.size > ROUNDED * speed.size:
         return []
     curve = scipy.interpolate.CubicSpline(speed, amplitude**-2.0)
     criticals = []
-    for n in np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1:
+    for n in places.tolist():
         least = scipy.optimize.minimize_scalar(
             curve, bounds=(speed[n - 1], speed[n + 1]), method="bounded", options={"xatol": 1e-9 * speed[n]}
         )
         if least.fun <= 0 or amplitude[n] < HALF_POWER * least.fun**-0.5:
             near = speed[max(n - 2, 0) : n + 3]
             closer = np.linspace(near[0], near[-1], CLOSER)
-            more = finer is not None and np.ptp(near) > SHARPEST * speed[n]
-            resolved = peaks(closer, finer(closer), node, finer) if finer and more else []
-            criticals += resolved or [Critical(float(speed[n]), float(amplitude[n]), node)]
+            if finer is None or np.ptp(near) <= SHARPEST * speed[n]:
+                criticals.append(Critical(float(speed[n]), float(amplitude[n]), node))
+            else:
+                criticals += peaks(closer, finer(closer), node, finer)
             continue
         top, height = float(least.x), float(least.fun) ** -0.5
         beyond = amplitude < HALF_POWER * height

@@ -73,12 +73,9 @@ class MeasuredThreshold:
 
 
 def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
-    return tuple(
-        MeasuredThreshold(rig, group.load, run.run.threshold)
-        for group in groups
-        for run in group.runs
-        if run.run.threshold is not None
-    )
+    """Each once: files of one load may state the same measurement."""
+    stated = dict.fromkeys((group.load, run.run.threshold) for group in groups for run in group.runs)
+    return tuple(MeasuredThreshold(rig, load, speed) for load, speed in stated if speed is not None)
 
 
 def nearby_threshold(

@@ -21,6 +21,7 @@ from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
 from labpipe.methods.run_ups.measured import added_since, run_up_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
+from labpipe.methods.run_ups.settings import MANY_PULSES, ONE_PULSE
 from labpipe.project.ingest import ingest, is_recording
 from labpipe.project.measured import file_stems
 from labpipe.project.rig_file import load_rig
@@ -382,6 +383,8 @@ def track_and_write(
     is_judged, is_saved = any((slow, operating, baseline)), save_run_up is not None
     _check_options(order, is_judged, is_saved, load, unbalance)
     lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
+    if pulses > 1 and (is_saved or baseline is not None):
+        raise ConfigError(f"--pulses: {MANY_PULSES}", hint=ONE_PULSE)
     conditions = _run_conditions(load, unbalance) if is_saved else None
     added = _stated_unbalance(unbalance, baseline is not None, is_saved)
     rig = None if rig_path is None else load_rig(rig_path)

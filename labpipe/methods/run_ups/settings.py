@@ -19,6 +19,8 @@ from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_unc
 from labpipe.registry import Registry, nearest
 
 KEYPHASOR = "keyphasor"
+MANY_PULSES = "of several pulses a revolution none marks the angle of the unbalance"
+ONE_PULSE = "a tacho with one pulse per revolution"
 
 
 @dataclass(frozen=True)
@@ -147,8 +149,10 @@ class RunSettings(Settings):
         if not self.unbalance:
             hint = "a recording does not state it; for example {disc 1: 50 g.mm at 0 deg}"
             raise SettingError("unbalance", "unbalance: is missing", hint)
-        if min(self.pulses, self.harmonics, self.revolutions - 1) < 1:
-            raise ConfigError("'pulses' and 'harmonics' are at least 1, 'revolutions' at least 2")
+        if self.pulses != 1:
+            raise SettingError("pulses", MANY_PULSES, ONE_PULSE)
+        if min(self.harmonics, self.revolutions - 1) < 1:
+            raise ConfigError("'harmonics' is at least 1, 'revolutions' at least 2")
 
 
 @dataclass(frozen=True)

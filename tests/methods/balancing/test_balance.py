@@ -242,6 +242,26 @@ def test_what_a_model_and_runs_leave_lies_in_its_interval(n_run):
     assert np.mean(left) < (1.0 if n_run == 0 else 0.5) * np.mean(without) * (1 + 1e-9)
 
 
+def test_one_more_run_does_not_lower_what_no_weights_change():
+    """Six readings that one plane moves alike, and .5 of alternating sign that is left."""
+    fixed = 0.5 * np.array([1, -1, 1, -1, 1, -1])
+    runs = [Run(str(w), np.array([w + 0j]), 2 + fixed + w + 0j) for w in (0.0, 1.0)]
+    left = next_runs(influence(runs, Noise(0.0, 0.01)), Noise(0.0, 0.01), {"w": np.array([-2.0 + 0j])})["w"]
+    assert left == pytest.approx(0.5, rel=0.02)
+
+
+def test_one_more_run_reads_what_it_leaves_with_its_own_noise():
+    """z_0 = 1 and z_0 + alpha = 3 read to r = 1 % leave E|z_0 - alpha / 2|^2 = 1.5^2 r^2 + (.5 x 3)^2 r^2;
+    a reading of that to r leaves r of its size, and errors of alpha of the same order.
+    """
+    noise, weights = Noise(0.0, 0.01), np.array([-0.5 + 0j])
+    known = influence(
+        [Run(str(w), np.array([w]), np.array([z])) for w, z in ((0j, 1 + 0j), (1 + 0j, 3 + 0j))], noise
+    )
+    expected = 0.01 * 0.01 * 1.5 * 2**0.5
+    assert expected < next_runs(known, noise, {"w": weights})["w"] < 2 * expected
+
+
 def test_weights_in_holes_at_given_angles(labpipe):
     planes = "{left: {radius: 40 mm, angles: [0 deg, 100 deg, 215 deg]}, right: {radius: 40 mm, places: 4}}"
     ended = labpipe("balance", EXAMPLE, "--set", f"planes={planes}")

@@ -14,9 +14,10 @@ from scipy import stats
 
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.certificate import certificate, loop_amounts
+from labpipe.methods.magnetic_bearing.certificate import _bent, certificate, loop_amounts
 from labpipe.methods.magnetic_bearing.limits import CertificateSettings
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
+from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH
 from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.stability import open_loop
 from labpipe.methods.magnetic_bearing.transfer import CrossControl
@@ -71,6 +72,24 @@ def truth() -> dict[str, float]:
         "log_decrement_1": -2 * np.pi * s.real / s.imag,
         "pole_real_1": s.real,
     }
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("slope", [2.0, -2.0])
+def test_amounts_that_bend_within_the_errors_are_named(side: float, slope: float) -> None:
+    """b = slope a + bend, straight but for one side of the estimate: at REACH standard errors, 2 x .1 of a,
+    its departure is told from BENT of the way that a straight line goes, 2 x 2 x .1.
+    """
+    way = REACH * 0.1 * abs(slope)
+
+    def at(values: dict[str, float]) -> dict[str, float]:
+        aside = side * (values["a"] - 1) / (REACH * 0.1)
+        return {f"b_{part}": slope * values["a"] + part * BENT * way * max(aside, 0.0) for part in (0.9, 1.1)}
+
+    slopes, covariance = np.full((1, 2), slope), np.array([[0.01]])
+    assert _bent(at, {"a": 1.0}, slopes, covariance) == ("b_1.1",)
+    assert _bent(at, {"a": 1.0}, -slopes, covariance) == ("b_0.9", "b_1.1")
+    assert _bent(at, {"a": 1.0}, slopes, 0 * covariance) == ()
 
 
 @pytest.mark.long

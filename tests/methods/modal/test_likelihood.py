@@ -14,9 +14,9 @@ from labpipe.estimation.measured import measured_part
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.residual import line_scatter
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, by_lines, refine
+from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, by_lines, refine, remaining
 from labpipe.methods.modal.model_error import modal_parameters
-from labpipe.methods.modal.poles import normal_equations, refine_with_terms, stabilisation
+from labpipe.methods.modal.poles import criterion, normal_equations, refine_with_terms, stabilisation
 from labpipe.methods.modal.whole_covariance import ModalReceptance
 from labpipe.records.response import FrequencyResponse, Port
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
@@ -115,6 +115,24 @@ def test_noise_of_every_element_is_found() -> None:
     expected = 1e-4 * np.mean(np.abs(structure.matrix) ** 2, axis=0)
     # The variance of 1,501 complex lines is known to 1 / sqrt(1501) = 2.6 %.
     assert np.max(np.abs(refined.noise / expected - 1)) < 5 / np.sqrt(1501)
+
+
+def test_the_criterion_of_residual_terms_is_akaike_s() -> None:
+    """-2 ln L + 2 n of complex noise of one variance at all lines of an FRF, but for a constant: 2 n_line
+    ln of its sum of squares, and n real numbers, counted by the covariances and the factors of the terms.
+    """
+    lines, terms, poles, participation = small_case()
+    values = []
+    for some in (terms, ResidualTerms(lines, 2, 1)):
+        refined = refine(some, poles, participation)
+        squares = np.sum(np.abs(remaining(some, refined)) ** 2, axis=0)
+        n_output, n_shape, _ = refined.shape_covariance.shape
+        n_number = len(refined.covariance) + n_output * n_shape + 2 * squares.size * some.count
+        values.append(2 * lines.omega.size * np.sum(np.log(squares)) + 2 * n_number)
+        assert criterion(refined, some) == pytest.approx(values[-1], rel=1e-9)
+    # The same modes and one term fewer in every FRF: less by two numbers each.
+    fewer = ResidualTerms(lines, 1, 1)
+    assert criterion(refined, some) - criterion(refined, fewer) == pytest.approx(4 * squares.size)
 
 
 def test_residual_terms_are_taken_out_of_the_data() -> None:

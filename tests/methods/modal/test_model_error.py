@@ -9,9 +9,10 @@ import pytest
 
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.fitting import identify
+from labpipe.estimation.model_error import ModelError, StatedRow
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.likelihood import Refined
-from labpipe.methods.modal.model_error import shape_record
+from labpipe.methods.modal.model_error import _apart, _rows, shape_record
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
@@ -92,6 +93,52 @@ def test_a_value_without_an_interval_has_no_error_left() -> None:
     wide = Parameter("zeta_1", -0.01, "1", std_error=1e-3, ci95=(-0.02, 0.0), std_error_inflated=2e-3)
     (plain,) = without_intervals([wide])
     assert plain == Parameter("zeta_1", -0.01, "1") and plain.full_error is None
+
+
+def test_a_modal_mass_has_at_least_the_error_of_its_own_frf() -> None:
+    """The line of nine FRFs averages their noise to a third: .02 where that of the driving point, .06, is in
+    the mass. The interval is that of both in squares, .02 and what is missing to .06, and .05 of model error.
+    """
+    mixture = SimpleNamespace(
+        noise=np.array([[0.0004]]),
+        shares={},
+        second=None,
+        stated=lambda row: (0.0, -0.05 * 1.96, 0.05 * 1.96),
+    )
+    m = Parameter("m_1", 1.0, "kg", std_error=0.06, ci95=(0.88, 1.12))
+    shared, alone = (
+        ModelError(mixture, {"m_1": StatedRow(np.ones(1), alone=alone)}).stated([m])[0]  # type: ignore[arg-type]
+        for alone in (False, True)
+    )
+    assert (shared.std_error, alone.std_error) == (pytest.approx(0.02), 0.06)
+    assert np.subtract(*alone.ci95[::-1]) ** 2 == pytest.approx(
+        np.subtract(*shared.ci95[::-1]) ** 2 + 3.92**2 * (0.06**2 - 0.02**2), rel=2e-3
+    )
+
+
+def test_stiffness_and_damping_under_a_given_mass_follow_the_pole_alone() -> None:
+    """k = M (2 pi f)^2 and c = 4 pi M zeta f, whatever the line's amplitude; where points differ as well."""
+    f, zeta, mass = 50.0, 0.01, 2.0
+    kept = np.array([np.log(f), np.log(zeta), 1.0, 0.5])
+    base = SimpleNamespace(theta=kept, model=SimpleNamespace(kept=slice(None)))
+    values = {
+        "f_n_1": f,
+        "zeta_1": zeta,
+        "k_1": mass * (2 * np.pi * f) ** 2,
+        "c_1": 4 * np.pi * mass * zeta * f,
+    }
+    rows = _rows(base, 1, values)  # type: ignore[arg-type]
+    np.testing.assert_allclose(rows["k_1"].row[:2], [2, 0])
+    np.testing.assert_allclose(rows["c_1"].row[:2], [1, 1])
+    for name in ("k_1", "c_1"):
+        assert not rows[name].alone and not np.any(rows[name].row[2:])
+        assert rows[name].row @ kept + rows[name].offset == pytest.approx(np.log(values[name]))
+    ends = {"f_n": tuple(np.log([49.0, 48.0, 51.0])), "zeta": tuple(np.log([0.01, 0.008, 0.02]))}
+    apart = _apart(ends, 1, values)
+    assert apart["k_1"] == pytest.approx(np.log(mass * (2 * np.pi * np.array([49.0, 48.0, 51.0])) ** 2))
+    assert np.exp(apart["c_1"]) == pytest.approx(values["c_1"] * np.array([1.0, 0.8, 2.0]))
+    assert _apart(ends, 1, {"eta_1": 0.021})["eta_1"] == pytest.approx(np.log([0.02, 0.016, 0.04]))
+    assert set(_apart(ends, 1, {**values, "m_1": 3.0})) == {"f_n_1", "zeta_1"}
 
 
 def test_modes_of_a_loss_factor_are_listed_at_their_natural_frequency() -> None:

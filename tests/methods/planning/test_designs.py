@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import FitError
+from labpipe.methods.planning import designs
 from labpipe.methods.planning.designs import CRITERIA, certificate, optimum, variances
 from labpipe.methods.planning.model import sensitivities
 from labpipe.methods.planning.search import candidates
@@ -93,6 +94,24 @@ def test_cost_of_displacement() -> None:
     np.testing.assert_allclose(found.cost, moved)
     change = sensitivities(model, noise, omega)[:, :, 0, 0]
     np.testing.assert_allclose(found.information[:, 0, 0], 2 * np.abs(change[:, 0]) ** 2 / moved)
+
+
+def test_many_candidates_that_tell_alike_are_looked_at_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Legendre polynomials up to degree 4 on 301 points, of which 104 stay after the first steps: programmes
+    of up to 50 and some of them, and a design that no other betters by more than .03 %.
+    """
+    points = np.polynomial.legendre.legvander(np.linspace(-1, 1, 301), 4)
+    polish, sizes = designs._polish, []
+
+    def counted(criterion: str, whole: np.ndarray, wanted: np.ndarray, chosen: np.ndarray, start: np.ndarray):
+        sizes.append(chosen.size)
+        return polish(criterion, whole, wanted, chosen, start)
+
+    monkeypatch.setattr(designs, "_polish", counted)
+    monkeypatch.setattr(designs, "MOST_AT_ONCE", 50)
+    found = optimum("minimax", points[:, :, None] * points[:, None, :])
+    assert max(sizes) <= designs.MOST_AT_ONCE + designs.PROMISING
+    assert found.certificate.efficiency > 0.9997
 
 
 def test_one_line_is_not_enough_for_three_coefficients() -> None:

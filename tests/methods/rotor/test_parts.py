@@ -58,6 +58,7 @@ SHAFT = (ShaftElement(0.1, 0.02),)
         (lambda: Material(0.0, 2e11, 8e10), "density of a material"),
         (lambda: ShaftElement(-0.1, 0.02), "length of a shaft element"),
         (lambda: ShaftElement(0.1, 0.02, inner_diameter=0.02), "bore"),
+        (lambda: ShaftElement(0.1, 40e-9), "0.1 m length has a diameter of 4e-08 m"),
         (lambda: Disc(1, 0.0, 1.0, 1.0), "mass of a disc"),
         (lambda: Disc(1, 1.0, -1.0, 1.0), "negative moment"),
         (lambda: Disc.of_dimensions(2, 0.05, 0.04, 0.01, STEEL), "disc on node 2 has a bore"),

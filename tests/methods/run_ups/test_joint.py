@@ -58,6 +58,18 @@ def test_newton_s_threshold_is_the_search_s() -> None:
     assert off == pytest.approx(0, abs=1e-3)
 
 
+def test_a_threshold_that_two_files_of_one_load_state_counts_once() -> None:
+    """A second trial unbalance under the same load, its file with the same head; another measurement is
+    another one.
+    """
+    run, other = trained("inside")[:2]
+    again = dataclasses.replace(run, name="again", unbalance={"disc 2": 5e-5})
+    assert run.threshold is not None
+    once_more = dataclasses.replace(again, threshold=dataclasses.replace(run.threshold, value=290.0))
+    for runs, number in (((run, again, other), 2), ((run, once_more), 2)):
+        assert len(measured_thresholds(RIG, tuple(runs_by_load(RIG, runs)))) == number
+
+
 def test_a_threshold_that_is_nowhere_near_is_refused() -> None:
     stiff = (np.eye(2) * 1e6, np.eye(2) * 1e3)
     with pytest.raises(FitError, match="far from the measured one"):

@@ -102,6 +102,10 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
         (("--tacho", "n", "--load", "3 N"), "--load belongs to --save-run-up"),
         (("--tacho", "n", "--unbalance", "x=3 g.mm"), "--unbalance belongs to a table or a judgement"),
         (("--tacho", "n", "--gap", "1 mm", "--limit", "-5 %"), "--gap and --limit must be positive"),
+        (
+            ("--tacho", "n", "--pulses", "2", "--baseline", "b.csv", "--unbalance", "x=3 g.mm"),
+            "--pulses: of several pulses a revolution none marks the angle",
+        ),
         (("--tacho", "n", "--limit", "30 %"), "--limit belongs to --gap"),
         (
             ("--tacho", "n", "--slow-roll", "1-2 Hz", "--unbalance", "x=3 g.mm", "--unbalance", "y=3 g.mm"),

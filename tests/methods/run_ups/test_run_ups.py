@@ -103,6 +103,13 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
             HEAD + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, tacho: n}}\n",
             "'load' is missing",
         ),
+        (
+            # Another first pulse turns all phasors by a quarter turn.
+            HEAD
+            + "  runs:\n    - {{recording: {root}/sample_data/hmb-loop/run-up.parquet, tacho: n, load: 3 "
+            "N, pulses: 4, unbalance: {{disc 1: 50 g.mm at 0 deg}}}}\n",
+            "run_ups.runs.1.pulses: of several pulses a revolution none marks the angle",
+        ),
         (HEAD + RUNS + "expect: {{run_up.joint.rank: 4}}\n", "there is no fit 'run_up'"),
     ],
 )
