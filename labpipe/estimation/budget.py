@@ -330,15 +330,11 @@ def _add_error(matrix_error: uncertain.MatrixError, case: Case, error: float) ->
 
 
 def across_findings(setup: Setup, budget: uncertain.Budget) -> Iterator[Finding]:
-    """A note where the direction of a single sensor counts as if the motion across it were alike."""
+    """A note on the direction of a single sensor."""
     turned = {of.uncertainty.source for of in setup.outputs[0].uncertainties if of.effect == "direction"}
     if len(setup.outputs) == 1 and turned & {source.source for source in budget.sources}:
-        what = (
-            f"the uncertain direction of {setup.outputs[0].label}: no other output tells what it reads across"
-        )
-        yield Finding(
-            "number-uncertainty", f"{what}, which counts as if the motion were alike in all directions"
-        )
+        what = f"direction of {setup.outputs[0].label}: no other output tells the motion across, which counts"
+        yield Finding("number-uncertainty", f"{what} as if it were alike")
 
 
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
