@@ -175,7 +175,7 @@ def _slope(series: catalogue_search.Series) -> str:
         )
     unit = _unit(series)
     slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
-    reach, p_value = line.quantile * error, line.p_of(1)
+    reach, p_value = line.quantile(1) * error, line.p_of(1)
     per = unit_label(series.condition_unit.split(" ")[0]) or f"unit of {series.over}"
     verdict = "no trend" if p_value >= LEVEL else "rising" if slope > 0 else "falling"
     scatter = "; the values scatter more than their errors, which are enlarged" if line.inflated else ""

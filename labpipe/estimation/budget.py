@@ -31,7 +31,7 @@ from labpipe.estimation.settings import FitSettings, Support
 from labpipe.estimation.statistics import Estimate, Stated, pulls_of
 from labpipe.estimation.weights import Weights, fit_weights, has_noise, weight_uncertainty
 from labpipe.records import uncertain
-from labpipe.records.finding import Contribution, IntervalParts, Parameter
+from labpipe.records.finding import Contribution, Finding, IntervalParts, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.settings import ESTIMATE
 
@@ -329,6 +329,14 @@ def _add_error(matrix_error: uncertain.MatrixError, case: Case, error: float) ->
     return _with_matrix(case, case.measured.matrix + share * matrix_error.change)
 
 
+def across_findings(setup: Setup, budget: uncertain.Budget) -> Iterator[Finding]:
+    """A note on the direction of a single sensor."""
+    turned = {of.uncertainty.source for of in setup.outputs[0].uncertainties if of.effect == "direction"}
+    if len(setup.outputs) == 1 and turned & {source.source for source in budget.sources}:
+        what = f"direction of {setup.outputs[0].label}: no other output tells the motion across, which counts"
+        yield Finding("number-uncertainty", f"{what} as if it were alike")
+
+
 def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
     side = "outputs" if sign > 0 else "inputs"
     ports = list(getattr(setup, side))
@@ -346,6 +354,11 @@ def _with_settings(case: Case, **changed: Any) -> Case:
 def _add_mass(case: Case, error: float) -> Case:
     mass = case.setup.settings.mass
     assert isinstance(mass, (int, float))
+    if mass + error < 0:
+        what = f"the uncertainty of the mass {mass:g} kg reaches zero: {mass + error:.3g} kg is no mass"
+        raise FitError(
+            what, hint="limits above zero such as 0.8 kg +- 0.5 kg (rectangular), or mass: estimate"
+        )
     return _with_settings(case, mass=mass + error)
 
 

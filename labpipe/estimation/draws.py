@@ -35,8 +35,8 @@ def bootstrap(
 ) -> tuple[tuple[Parameter, ...], str]:
     """Parameters with standard errors and 95 % intervals from the scatter of *repeats* refits, and a note.
 
-    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*, so that a run is
-    reproducible. FitError for an unknown noise, too few repeats, or failed refits.
+    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*. FitError for an
+    unknown noise, too few repeats, or failed refits.
     """
     _check("bootstrap", repeats, FEWEST_REPEATS, 200, measured)
     rng = np.random.default_rng(zlib.crc32(name.encode()))

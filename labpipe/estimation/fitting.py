@@ -14,6 +14,7 @@ from labpipe.errors import ConfigError, FitError, LabpipeError, SettingError
 from labpipe.estimation import causes, derived, diagnostics
 from labpipe.estimation.budget import (
     Case,
+    across_findings,
     budget_of,
     mass_uncertainty,
     most_likely,
@@ -333,9 +334,10 @@ def _with_budget(
     budget = budget.enlarged(factors)
     expanded = derived.with_systematic(parameters, budget)
     draws = case.setup.settings.monte_carlo
-    if not draws:
-        return Budgeted(expanded, budget)
-    return propagate(case, expanded, budget, fitted, _refit, draws)
+    budgeted = (
+        propagate(case, expanded, budget, fitted, _refit, draws) if draws else Budgeted(expanded, budget)
+    )
+    return replace(budgeted, findings=(*budgeted.findings, *across_findings(case.setup, budget)))
 
 
 def _parameter_findings(

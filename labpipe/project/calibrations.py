@@ -88,7 +88,7 @@ def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
 
 def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     if (number := dict(written.uncertainties).get("delay")) is not None:
-        yield _of_channel(written, "delay", number, "delay")
+        yield _of_channel(written, "delay", number, f"delay {1e6 * number.value:g} us")
 
 
 def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:

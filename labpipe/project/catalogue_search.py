@@ -43,7 +43,7 @@ from labpipe.project.catalogue import (
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import nearest
-from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
+from labpipe.uncertainty.amounts import count_once, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
 
@@ -314,16 +314,12 @@ class Series:
         return np.array([row.value for row in self.rows])
 
     @property
-    def errors(self) -> FloatArray:
-        """Standard errors (n,) [unit], NaN where missing; covariance (n, n) of sources in common."""
-        errors = np.array([np.nan if row.random_error is None else row.random_error for row in self.rows])
-        return joint_errors(errors, matrix_of([json.loads(row.changes) for row in self.rows]))
-
-    @property
     def line(self) -> WeightedFit | None:
         """The weighted line; None where values, errors or differences of the condition are missing."""
+        errors = np.array([row.random_error for row in self.rows], np.float64)
+        changes = matrix_of([json.loads(row.changes) for row in self.rows])
         try:
-            return straight_trend(self.condition, self.values, self.errors)
+            return straight_trend(self.condition, self.values, errors, changes)
         except FitError:
             return None
 

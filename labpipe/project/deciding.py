@@ -41,9 +41,8 @@ def expanded_of(parameter: Parameter) -> float | None:
 def decide(
     rule: Rule, value: float | None, error: float | None, unit: str, expanded: float | None = None
 ) -> Compared:
-    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits; without either it
-    does not. *expanded*: its expanded uncertainty, by default that of a normal distribution. ConfigError for
-    limits of another dimension.
+    """Whether a number [*unit*, SI] with its standard uncertainty meets a rule with limits. *expanded*: by
+    default that of a normal distribution. ConfigError for limits of another dimension.
     """
     decision = rule.decision
     assert decision is not None
@@ -148,9 +147,8 @@ def _end(value: float) -> float | None:
 
 @dataclass(frozen=True)
 class Limited:
-    """A number with the limits that it must keep: *value* and standard uncertainty *error* [its unit], None
-    where one is missing, with the reason in *why*; *changes* by one standard uncertainty of every systematic
-    source. owner: its fit or comparison, *name* there.
+    """A number with its limits: *value* and standard uncertainty *error* [its unit], None where one is
+    missing, with the reason in *why*; *changes* by every systematic source. owner: its fit or comparison.
     """
 
     owner: Fit | Comparison
@@ -191,8 +189,8 @@ def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter)
 
 
 def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
-    """The outcome of a rule that several limits hold at once, by the joint covariance of their values; where
-    a correlation is not known, by the least probability that any leaves.
+    """The outcome of limits that hold at once, by the joint covariance of their values; where a correlation
+    is not known, by the least probability that any leaves.
     """
     decision = rule.decision
     assert decision is not None

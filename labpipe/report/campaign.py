@@ -89,13 +89,13 @@ class CoefficientSeries:
     def _in_unit(self, errors: Sequence[float | None]) -> FloatArray:
         return np.array([np.nan if error is None else difference_in(error, self.unit) for error in errors])
 
-    def joint_errors(self) -> FloatArray:
-        """Standard errors (n,) [display unit] of each test alone, or the covariance (n, n) where tests have
-        sources in common.
+    def parted_errors(self) -> tuple[FloatArray, FloatArray]:
+        """Standard errors (n,) [display unit] of each test alone, and changes (n_source, n) by sources in
+        common.
         """
         alone = self._in_unit([value.random_error for value in self.values])
         changes = matrix_of([value.changes for value in self.values])
-        return joint_errors(alone, difference_in(1.0, self.unit) * changes)
+        return alone, difference_in(1.0, self.unit) * changes
 
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
@@ -205,13 +205,13 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
     try:
-        line = straight_trend(x, series.shown(), series.joint_errors())
+        line = straight_trend(x, series.shown(), *series.parted_errors())
     except FitError:
         return ()
     drawn = np.linspace(x.min(), x.max(), N_TREND)
     columns = np.column_stack([np.ones_like(drawn), drawn - np.mean(x)])
     middle = columns @ line.values
-    reach = line.quantile * np.sqrt(np.einsum("ij,jk,ik->i", columns, line.covariance, columns))
+    reach = np.array([line.reach(row) for row in columns])
     return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),)
 
 
@@ -341,7 +341,7 @@ def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
 
 def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
     try:
-        return from_the_rest(coefficient.shown(), coefficient.joint_errors())
+        return from_the_rest(coefficient.shown(), joint_errors(*coefficient.parted_errors()))
     except FitError:
         unknown = np.full(len(coefficient.values), np.nan)
         return unknown, unknown
@@ -351,11 +351,11 @@ def _trends(coefficient: CoefficientSeries) -> list[Trend]:
     trends = []
     for name, (_, condition) in coefficient.over().items():
         try:
-            line = straight_trend(condition, coefficient.shown(), coefficient.joint_errors())
+            line = straight_trend(condition, coefficient.shown(), *coefficient.parted_errors())
         except FitError:
             continue
         slope, error = float(line.values[1]), line.std_error(1)
-        reach = line.quantile * error
+        reach = line.quantile(1) * error
         trends.append(Trend(coefficient, name, slope, error, (slope - reach, slope + reach), line.p_of(1)))
     return trends
 

@@ -148,8 +148,9 @@ def count_once(values: FloatArray, errors: FloatArray, digests: Sequence[frozens
 
 
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:
-    """Standard errors (n,) of independent values, or the covariance (n, n) where *changes* (n_source, n) are
-    common to them. V = diag(s^2) + sum over sources of c c^T [unit^2 of the values]. Equations (unc-common)
-    and (comp-covariance).
+    """Errors (n,) of independent values, or the covariance (n, n) [unit^2 of the values] where *changes*
+    (n_source, n) are common to them. Equations (unc-common) and (comp-covariance).
     """
-    return errors if not np.any(changes) else np.diag(errors**2) + changes.T @ changes
+    if not np.any(changes):
+        return errors
+    return (np.diag(errors**2) if errors.ndim == 1 else errors) + changes.T @ changes

@@ -42,11 +42,9 @@ def holm(p_values: FloatArray) -> FloatArray:
 
 
 def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:
-    """Comparison of all coefficients in the bands and terms common to both tests, second group against first.
-
-    t = (b - a) / sqrt(s_a^2 + s_b^2) by Welch and Satterthwaite; the uncertainty of the support is common to
-    both tests and therefore excluded. ConfigError for an unknown parameter, FitError without a common band.
-    Equation (comp-bands).
+    """Comparison of all coefficients in the bands and terms common to both tests, second group against first,
+    by Welch and Satterthwaite. Equation (comp-bands). ConfigError for an unknown parameter, FitError without
+    a common band.
     """
     names = _parameters(settings, tests[0][0])
     every = itertools.product(names, *tests)

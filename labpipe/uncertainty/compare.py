@@ -22,7 +22,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.quality import reciprocity
-from labpipe.uncertainty.amounts import chance, from_log, joint_errors, relative_change
+from labpipe.uncertainty.amounts import chance, from_log, relative_change
 from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, group_of
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
@@ -34,21 +34,16 @@ DRAWN = 60
 
 
 def trend(campaign: Campaign) -> Comparison:
-    """value = level + slope (x - x_0), or value = level (x / x_0)^exponent; x_0 is the mean (geometric mean)
-    of the conditions.
-
-    Over two conditions: level + slope (x - x_0) + second_slope (y - y_0), or level (x / x_0)^exponent (y /
-    y_0)^second_exponent; the verdict is that of the first. FitError where conditions or values do not allow
-    it. Equation (comp-trend).
+    """value = level + slope (x - x_0), or level (x / x_0)^exponent; x_0 is the mean (geometric mean) of the
+    conditions. Of two the verdict is that of the first. FitError where conditions or values do not allow it.
+    Equation (comp-trend).
     """
     return _power(campaign) if campaign.settings.law == "power" else _line(campaign)
 
 
 def power_fit(campaign: Campaign) -> WeightedFit:
-    """(ln level, exponent) over ln(x / x_0), and over ln(y / y_0) of a second condition.
-
-    With the propagated error of setting the conditions: s^2 = s_fit^2 + (n s_x / x)^2 + (m s_y / y)^2.
-    Equation (comp-power).
+    """(ln level, exponent) over ln(x / x_0), and over ln(y / y_0) of a second condition, with the error of
+    setting them. Equation (comp-power).
     """
     conditions = _conditions(campaign)
     for values, name in zip(conditions, campaign.settings.over, strict=True):
@@ -58,7 +53,7 @@ def power_fit(campaign: Campaign) -> WeightedFit:
     columns = np.column_stack([np.ones_like(logs), *(np.log(x / _centre(x)) for x in conditions)])
     first = weighted_fit(columns, logs, relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
-    return weighted_fit(columns, logs, joint_errors(errors, campaign.common / campaign.value))
+    return weighted_fit(columns, logs, errors, campaign.common / campaign.value)
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
@@ -74,7 +69,7 @@ def _power(campaign: Campaign) -> Comparison:
     x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = fit.amount("exponent", "1", 1)
-    level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile)
+    level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile(0))
     settings = campaign.settings
     amount = display.amount_text(level.value, level.std_error, campaign.unit)
     law = f"{campaign.subject} = ({amount}) ({settings.condition} / {centre:.5g} {campaign.condition_unit})"
@@ -97,7 +92,7 @@ def _line(campaign: Campaign) -> Comparison:
     fit = weighted_fit(columns, campaign.value, campaign.std_error)
     setting = np.linalg.norm(fit.values[1:, None] * conditions, axis=0)
     errors = np.hypot(campaign.std_error, setting * settings.setting_error)
-    fit = weighted_fit(columns, campaign.value, joint_errors(errors, campaign.common))
+    fit = weighted_fit(columns, campaign.value, errors, campaign.common)
     slope = fit.amount("slope", f"{campaign.unit}/{campaign.condition_unit}", 1)
     level = fit.amount("level", campaign.unit, 0)
     drawn = _draw(campaign.condition)
@@ -142,14 +137,10 @@ def _comparison(
 
 def difference(campaign: Campaign) -> Comparison:
     """exp(mean) - 1 of the weighted mean of ln(second / first) over the conditions common to both groups, and
-    its p-value.
-
-    The error of each logarithm is the fit's relative error combined with n s_x / x, the error of setting each
-    condition (n: exponent of the trend of all tests). ConfigError for groups without a common condition.
-    Equation (comp-difference).
+    its p-value. Equation (comp-difference). ConfigError for groups without a common condition.
     """
     mean = _mean_of_logs(campaign)
-    change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile)
+    change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
     words = f"against {{}} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
@@ -159,7 +150,7 @@ def difference(campaign: Campaign) -> Comparison:
 def quotient(campaign: Campaign) -> Comparison:
     """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests."""
     mean = _mean_of_logs(campaign)
-    ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
+    ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
     assert ratio.ci95 is not None
     low, high = ratio.ci95
     return _of_groups(campaign, ratio, mean, f"over {{}} {ratio.value:.5g} (95 %: {low:.5g} to {high:.5g})")
@@ -167,11 +158,7 @@ def quotient(campaign: Campaign) -> Comparison:
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
     logs, errors, common, dofs = _pair(campaign, *campaign.settings.groups)
-    mean = weighted_mean(logs, joint_errors(errors, common))
-    # Parts of the mean: what is common to all conditions was not estimated from scatter.
-    parts = errors**-1.0 / np.sum(errors**-2.0)
-    rest = np.sqrt(max(mean.std_error(0) ** 2 - float(np.sum(parts**2)), 0.0))
-    return replace(mean, behind=dof_of_sum(np.append(parts, rest), np.append(dofs, np.inf)))
+    return replace(weighted_mean(logs, errors, common), behind=dof_of_sum(1 / errors, dofs))
 
 
 def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: str) -> Comparison:
@@ -188,7 +175,7 @@ def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: 
 
 def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]:
     """ln(second / first) at every common condition (n,), its error, its changes by common sources (n_source,
-    n) [1], which cancel as far as both change alike, and the degrees of freedom of the error.
+    n) [1], and the degrees of freedom of the error.
     """
     errors, logs = _errors(campaign), np.log(campaign.value)
     relative = campaign.common / campaign.value
@@ -241,10 +228,7 @@ UNCOUPLED = 0.7
 
 def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]) -> Comparison:
     """Every pair of dofs in every test with its p-value; the verdict takes the smallest one times their
-    number (Bonferroni).
-
-    The largest relative difference is that of coupled pairs. DataError without a response that can be tested.
-    Equation (comp-reciprocity).
+    number (Bonferroni). Equation (comp-reciprocity). DataError without a response that can be tested.
     """
     pairs = [(response.name, pair) for response in responses for pair in reciprocity(response)]
     if not pairs:

@@ -56,16 +56,15 @@ def conformance(value: float, error: float, limits: Limits) -> float:
 
 
 def guard_band(error: float, risk: float) -> float:
-    """w = z(1 - risk) u [unit of *error*]: a value by w inside of one limit lies beyond that limit with the
-    probability *risk* [1]. Equation (decision-guard).
+    """w [unit of *error*]: a value by w inside of one limit lies beyond it with the probability *risk* [1].
+    Equation (decision-guard).
     """
     return normal_quantile(1.0 - risk) * error
 
 
 def outcome_by_guard(value: float, guard: float, limits: Limits) -> str:
-    """Pass within the limits less the guard band [unit], fail beyond the limits and the guard band, and
-    conditional between, by the side of the limit on which the value lies. ILAC-G8:09/2019, 4.2.3. Each limit
-    counts by itself.
+    """Pass within the limits less the guard band [unit], fail beyond limits and guard band, conditional
+    between, by the side of the limit. ILAC-G8:09/2019, 4.2.3. Each limit counts by itself.
     """
     if limits.narrowed(guard).hold(value):
         return PASS
@@ -76,8 +75,7 @@ def outcome_by_guard(value: float, guard: float, limits: Limits) -> str:
 
 def outcome_by_risk(probability: float, risk: float) -> str:
     """Pass where the limits hold with a *probability* [1] of at least 1 - *risk*, fail where of at most
-    *risk*, conditional between, by which is likelier. JCGM 106:2012, clause 8: of one limit this is the guard
-    band; two are judged together.
+    *risk*, conditional between, by which is likelier. JCGM 106:2012, clause 8.
     """
     if probability >= 1.0 - risk:
         return PASS
@@ -120,10 +118,7 @@ def global_risk(
 ) -> GlobalRisk:
     """The global risks of a decision: *process*: mean and standard deviation of what is made [unit], normal;
     *error*: standard uncertainty of the measurement [unit]; *acceptance*: the measured values that are
-    accepted, None for none.
-
-    Equation (decision-global); JCGM 106:2012, clause 9: Gauss-Legendre integrals between the limits and where
-    the measurement begins and ends to accept.
+    accepted, None for none. Equation (decision-global); JCGM 106:2012, clause 9: Gauss-Legendre integrals.
     """
     mean, spread = process
     ends = (mean - REACH * spread, mean + REACH * spread)
@@ -153,9 +148,8 @@ def joint_conformance(values: FloatArray, covariance: FloatArray, limits: Sequen
     """Probability [1] that values (n,) with their *covariance* (n, n) [units of both] lie within all their
     *limits* at once, by a normal distribution.
 
-    Equation (decision-joint): the integral of Genz (J. Comput. Graph. Stat. 1, 1992, 141) over a lattice
-    that is always the same, so that the same input gives the same number: within 2e-4 for up to ten values.
-    Perfectly correlated values, and those without uncertainty, are no exception.
+    Equation (decision-joint): the integral of Genz (J. Comput. Graph. Stat. 1, 1992, 141) over a fixed
+    lattice, within 2e-4 for up to ten values, also of perfect correlation or without uncertainty.
     """
     from scipy.special import ndtr, ndtri
 

@@ -29,10 +29,9 @@ from labpipe.uncertainty.weighted import weighted_mean
 def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
-    Standard error: s^2 = s_mean^2 + u^2. s_mean is that of the weighted mean of the errors by noise, enlarged
-    where the repeats scatter more than these say; u, the mean of what stands in the full errors beyond noise,
-    is common to all repeats and does not shrink. Where a repeat has no error, the plain mean with the
-    standard error of the repeats' scatter, or none for one repeat. Equation (comp-repeats).
+    Errors by noise are enlarged where the repeats scatter more; the mean of what stands in the full errors
+    beyond noise is common to them and does not shrink. Where a repeat has no error, the plain mean with the
+    standard error of their scatter. Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
     if values.size == 1:
@@ -51,7 +50,7 @@ def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     noise = mean.std_error(0)
     whole = float(np.hypot(noise, common))
     # Student's quantile belongs to the part that was estimated from the scatter.
-    reach = float(np.hypot(mean.quantile * noise, normal_quantile(0.975) * common))
+    reach = float(np.hypot(mean.quantile(0) * noise, normal_quantile(0.975) * common))
     parameter = _parameter(parameters[0], float(mean.values[0]), noise, whole, reach)
     return comparison.Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
 
@@ -83,8 +82,8 @@ def amplitude_statement(matrix: comparison.ConditionMatrix, level: float) -> str
     """The largest amplitude whose coefficients do not differ from those at the smallest, as a sentence; empty
     where none is tested.
 
-    Each coefficient at each amplitude against that at the smallest, at equal other conditions: z = (v - v_0)
-    / sqrt(s^2 + s_0^2) of the errors by noise, Holm's correction over all of them, at *level* [1]. Equation
+    Each coefficient at each amplitude against that at the smallest, at equal other conditions, by the errors
+    of noise, with Holm's correction over all of them, at *level* [1]. Equation
     (comp-validity).
     """
     sizes = [axis.unit == "m" and axis.name.lower().startswith(AMPLITUDES) for axis in matrix.axes]
@@ -235,8 +234,7 @@ def mean_compliance(
     settings: EquilibriumSettings, fits: Sequence[Fit]
 ) -> tuple[FloatArray, FloatArray] | None:
     """Displacement per force along the load, (K + k_s I)^-1 u (2,) [m/N], mean of the repeats, and its
-    covariance (2, 2). Noise is independent from repeat to repeat; an error that repeats have in common does
-    not shrink in their mean.
+    covariance (2, 2); an error that repeats have in common does not shrink in it.
     """
     results = [result for fit in fits if (result := _compliance(settings, fit)) is not None]
     if not results:

@@ -37,9 +37,7 @@ class Observation:
 
     @property
     def std_error(self) -> float:
-        """The standard error of this test alone, without errors that tests have in common. FitError for a
-        parameter without one.
-        """
+        """That of this test alone, without errors in common. FitError for a parameter without one."""
         error = random_error(self.fit, self.parameter)
         if error is None:
             what = f"'{self.parameter.name}' of test {self.fit.test} has no standard error"
@@ -49,10 +47,10 @@ class Observation:
     @property
     def relative(self) -> float:
         """Standard error over value; FitError for a value that is not above zero."""
-        if not self.value > 0:
-            what = f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}"
-            raise FitError(what, hint="only positive values have a ratio")
-        return self.std_error / self.value
+        if self.value > 0:
+            return self.std_error / self.value
+        what = f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}"
+        raise FitError(what, hint="only positive values have a ratio")
 
     def point(self) -> ComparedPoint:
         condition, second = (None if np.isnan(amount) else amount for amount in (self.condition, self.second))
@@ -68,9 +66,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Campaign:
-    """The observations of one comparison, in ascending order of the conditions, with the units of value and
-    conditions.
-    """
+    """The observations of one comparison, in ascending order of the conditions."""
 
     settings: CompareSettings
     observations: tuple[Observation, ...]
@@ -98,21 +94,17 @@ class Campaign:
 
     @property
     def std_error(self) -> FloatArray:
-        """Standard error of every test alone, (n_test,) [unit]; FitError for a parameter without one."""
+        """Standard error of every test alone, (n_test,) [unit]."""
         return np.array([observation.std_error for observation in self.observations])
 
     @property
     def relative(self) -> FloatArray:
-        """Relative standard error of every test alone, (n_test,) [1]. FitError for a value that is not above
-        zero.
-        """
+        """Relative standard error of every test alone, (n_test,) [1]."""
         return np.array([observation.relative for observation in self.observations])
 
     @property
     def common(self) -> FloatArray:
-        """Change of the value of every test by one standard uncertainty of every common source, (n_source,
-        n_test) [unit].
-        """
+        """Changes (n_source, n_test) [unit] by one standard uncertainty of every common source."""
         return parameter_changes(
             [observation.fit for observation in self.observations], self.observations[0].parameter.name
         )
@@ -150,9 +142,8 @@ def campaign_of(
     conditions: Mapping[str, Mapping[str, Any]],
     parameter: str = "",
 ) -> Campaign:
-    """The observations of the settings, sorted by condition; *conditions* of every test by its name;
-    *parameter*: in place of theirs. ConfigError for an unknown fit, term, parameter or condition; FitError
-    for fewer than two tests.
+    """The observations of the settings; *conditions* of every test by its name; *parameter*: in place of
+    theirs. ConfigError for an unknown fit, term, parameter or condition; FitError for fewer than two tests.
     """
     chosen = _choose(settings, fits)
     none = "", np.full(len(chosen), np.nan)

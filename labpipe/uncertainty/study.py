@@ -242,9 +242,7 @@ def summarise(
     noise: float,
     lines: int,
 ) -> StudyCase:
-    """One fit over all repeats; ConfigError where the rig states none of its parameters. Equation
-    (comp-study).
-    """
+    """One fit over all repeats; ConfigError where the rig states none. Equation (comp-study)."""
     ended = [outcome for outcome in outcomes if outcome.parameters]
     results = [outcome for outcome in ended if outcome.converged]
     names = _names(outcomes, truth)
@@ -274,9 +272,7 @@ def summarise(
 
 
 def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
-    """Share of all repeats that ended in a result within *limit* of the truth: |p - p_true| < limit |p_true|
-    of all together. Equation (comp-success).
-    """
+    """Share of all repeats that ended in a result within *limit* of the truth. Equation (comp-success)."""
     names = _names(outcomes, truth)
     return float(np.mean([_succeeded(outcome, names, settings, truth, limit) for outcome in outcomes]))
 
@@ -394,8 +390,8 @@ def _threshold(
     tell: Tell,
     cases: Sequence[StudyCase],
 ) -> StudyThreshold:
-    """Bisection over the logarithm of the noise, with the same draws at every level. One is left as soon as
-    too many repeats are lost, those of the level before first; the *cases* decide levels beyond theirs.
+    """Bisection over the logarithm of the noise, with the same draws at every level, left as soon as too many
+    repeats are lost; the *cases* decide levels beyond theirs.
     """
     count = int(settings.lines[0]) if settings.lines else None
     numbers = list(range(min(settings.repeats, SEARCH_REPEATS)))

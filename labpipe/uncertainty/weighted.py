@@ -16,7 +16,7 @@ from labpipe.display import chance_text
 from labpipe.errors import FitError
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import Parameter
-from labpipe.uncertainty.amounts import chance, with_error
+from labpipe.uncertainty.amounts import chance, joint_errors, with_error
 from labpipe.uncertainty.observations import Campaign
 
 # p-value below which the scatter is larger than the standard errors explain.
@@ -28,10 +28,10 @@ class WeightedFit:
     """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit],
     covariance (n_parameter, n_parameter).
 
-    chi-square of the residual; where the scatter exceeds the errors (p_value below SCATTER_LEVEL),
-    *covariance* is enlarged by the square of Birge's ratio sqrt(chi2 / dof), and intervals use Student's t
-    instead of the normal distribution. Equation (comp-birge). *behind*: degrees of freedom of the errors of
-    the values, where these were estimated from scatter themselves.
+    Where the scatter exceeds the errors (p_value below SCATTER_LEVEL), those of single values are enlarged by
+    Birge's ratio, and intervals are Student's. Equation (comp-birge). *shared*: the part of *covariance* by
+    errors in common, which no scatter shows. *behind*: degrees of freedom of errors that were estimated from
+    scatter themselves.
     """
 
     values: FloatArray
@@ -40,38 +40,54 @@ class WeightedFit:
     dof: int
     p_value: float | None
     inflated: bool
+    shared: FloatArray
     behind: float = np.inf
 
     @property
     def effective_dof(self) -> float:
-        """Degrees of freedom of intervals and tests, infinite where no error was estimated from scatter."""
+        """Degrees of freedom of the scatter, infinite where no error was estimated from it."""
         return self.dof if self.inflated else self.behind
 
-    @property
-    def quantile(self) -> float:
-        """Standard errors to either side of a 95 % interval. Equation (comp-quantile)."""
-        return distributions.coverage_factor(0.95, self.effective_dof)
+    def dof_of(self, direction: FloatArray) -> float:
+        """Welch and Satterthwaite's degrees of freedom [1] along a *direction* (n_parameter,)."""
+        whole, shared = (direction @ part @ direction for part in (self.covariance, self.shared))
+        return float(self.effective_dof * (whole / max(whole - shared, 1e-12 * whole)) ** 2)
+
+    def reach(self, direction: FloatArray) -> float:
+        """Half the 95 % interval [any unit] along a *direction* (n_parameter,). Equation (comp-quantile)."""
+        error = float(np.sqrt(direction @ self.covariance @ direction))
+        return distributions.coverage_factor(0.95, self.dof_of(direction)) * error
+
+    def quantile(self, number: int) -> float:
+        """Standard errors of a parameter to either side of its 95 % interval."""
+        return self.reach(np.eye(self.values.size)[number]) / self.std_error(number)
 
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
 
     def amount(self, name: str, unit: str, number: int) -> Parameter:
         """The parameter [unit] with its error and interval."""
-        return with_error(name, unit, float(self.values[number]), self.std_error(number), self.quantile)
+        return with_error(
+            name, unit, float(self.values[number]), self.std_error(number), self.quantile(number)
+        )
 
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
         ratio = abs(self.values[number] - value) / self.std_error(number)
-        if np.isfinite(self.effective_dof):
-            return 2 * distributions.student_tail(ratio, self.effective_dof)
-        return 2 * distributions.normal_tail(ratio)
+        dof = self.dof_of(np.eye(self.values.size)[number])
+        return 2 * (
+            distributions.student_tail(ratio, dof) if np.isfinite(dof) else distributions.normal_tail(ratio)
+        )
 
 
-def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
+def weighted_fit(
+    columns: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None = None
+) -> WeightedFit:
     """Generalised least squares of values (n,) [any unit] = columns (n, n_parameter) p.
 
-    *errors*: standard errors (n,), or the covariance (n, n) of correlated values. FitError where p is not
-    determined. Equation (comp-weighted).
+    *errors*: standard errors (n,), or the covariance (n, n) of correlated values; *changes* (n_source, n) of
+    the values by sources that they have in common. FitError where p is not determined. Equation
+    (comp-weighted).
     """
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
@@ -80,18 +96,35 @@ def weighted_fit(columns: FloatArray, values: FloatArray, errors: FloatArray) ->
         raise FitError(what, hint="a response without noise gives none")
     if not np.all(np.isfinite(values)):
         raise FitError("a value is no number, so tests cannot be weighted")
-    design, whitened = _whiten(columns, errors), _whiten(values[:, None], errors)[:, 0]
+    changes = np.zeros((0, values.size)) if changes is None else changes
+    inverse, chi2, weights = _solve(columns, values, errors, changes)
+    dof = values.size - columns.shape[1]
+    p_value = distributions.chi2_tail(chi2, dof) if dof else None
+    inflated = p_value is not None and p_value < SCATTER_LEVEL
+    left, enlarged = chi2, errors
+    for _ in range(ROUNDS * inflated):
+        enlarged = enlarged * (left / dof) ** (0.5 if errors.ndim == 1 else 1.0)
+        inverse, left, weights = _solve(columns, values, enlarged, changes)
+    shared = weights @ changes.T @ changes @ weights.T
+    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, inflated, shared)
+
+
+# Rounds to Birge's ratio: one, but where what values have in common takes part in their scatter.
+ROUNDS = 20
+
+
+def _solve(
+    columns: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray
+) -> tuple[FloatArray, float, FloatArray]:
+    """Covariance (n_parameter, n_parameter), chi-square, weights (n_parameter, n) of the values."""
+    whole = joint_errors(errors, changes)
+    design, whitened = _whiten(columns, whole), _whiten(np.eye(values.size), whole)
     if np.linalg.matrix_rank(design) < columns.shape[1]:
         hint = "a trend needs at least two different values"
         raise FitError("the tests do not differ in the condition", hint=hint)
     covariance = np.linalg.inv(design.T @ design)
-    solved = covariance @ design.T @ whitened
-    chi2 = float(np.sum((whitened - design @ solved) ** 2))
-    dof = values.size - columns.shape[1]
-    p_value = distributions.chi2_tail(chi2, dof) if dof else None
-    inflated = p_value is not None and p_value < SCATTER_LEVEL
-    enlarged = covariance * chi2 / dof if inflated else covariance
-    return WeightedFit(solved, enlarged, chi2, dof, p_value, inflated)
+    weights = covariance @ design.T @ whitened
+    return covariance, float(np.sum((whitened @ (values - columns @ (weights @ values))) ** 2)), weights
 
 
 def _whiten(columns: FloatArray, errors: FloatArray) -> FloatArray:
@@ -109,9 +142,9 @@ def dof_of_sum(errors: FloatArray, dofs: FloatArray) -> float:
     return float(np.sum(errors**2)) ** 2 / spread if spread else np.inf
 
 
-def weighted_mean(values: FloatArray, errors: FloatArray) -> WeightedFit:
-    """The weighted mean of values (n,) [any unit] with standard errors (n,) or covariance (n, n)."""
-    return weighted_fit(np.ones((values.size, 1)), values, errors)
+def weighted_mean(values: FloatArray, errors: FloatArray, changes: FloatArray | None = None) -> WeightedFit:
+    """The weighted mean of values (n,) [any unit], with errors as of `weighted_fit`."""
+    return weighted_fit(np.ones((values.size, 1)), values, errors, changes)
 
 
 # Repeatability: scatter within and between settings (one-way random effects).
@@ -124,10 +157,9 @@ class Components:
     """y_ij = mean + setting_i + repeat_ij: standard deviations *within* and *between* settings with 95 %
     intervals.
 
-    *between* is 0 where the settings scatter less than their repeats. p_value: probability of an equal or
-    larger scatter of settings without an effect of the setting (F test). *mean*: of the means of settings, by
-    *weights* (n,) [1] of the values; mean_error: of the settings' scatter alone, with *settings* - 1 degrees
-    of freedom.
+    *between* is 0 where the settings scatter less than their repeats. p_value: of no effect of the setting (F
+    test). *mean*: of the means of settings, by *weights* (n,) [1] of the values; mean_error: of their scatter
+    alone, with *settings* - 1 degrees of freedom.
     """
 
     weights: FloatArray
@@ -145,10 +177,9 @@ class Components:
 def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     """Variance components of values (n,) [any unit] in groups (n,), by the analysis of variance.
 
-    within^2 = MSW; between^2 = (MSB - MSW) / n_0, n_0 = (N - sum n_i^2 / N) / (a - 1). Interval of within^2
-    by chi-square, of between^2 after Tukey (1951) and Williams (1962): SSB (1 - F_q / F) / (n_0 chi2_q) at
-    both ends, exact to first order for equal n_i. Searle, Casella and McCulloch, Variance Components (1992),
-    sec. 3.5-3.6. FitError for fewer than two settings or no repeats. Equation (comp-components).
+    Equation (comp-components). Interval of within^2 by chi-square, of between^2 after Tukey (1951) and
+    Williams (1962). Searle, Casella and McCulloch, Variance Components (1992), sec. 3.5-3.6. FitError for
+    fewer than two settings or no repeats.
     """
     _, group, counts = np.unique(groups, return_inverse=True, return_counts=True)
     a, n = counts.size, values.size
@@ -200,8 +231,8 @@ def _mean(campaign: Campaign, scatter: Components) -> Parameter:
 
 
 def repeatability(campaign: Campaign) -> Comparison:
-    """Variance components of the parameter, and a test of the scatter within settings against the fits'
-    standard errors. Equation (comp-repeatability).
+    """Variance components, and the scatter within settings against the fits' standard errors. Equation
+    (comp-repeatability).
     """
     settings, unit = campaign.settings, campaign.unit
     groups = np.array([observation.group for observation in campaign.observations])
@@ -270,10 +301,8 @@ class ControlLimits:
 
 def control_limits(values: FloatArray) -> ControlLimits:
     """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does
-    not widen them.
-
-    sigma = mean |y_i - y_(i-1)| / d_2, d_2 = 2 / sqrt(pi). Montgomery, Introduction to Statistical Quality
-    Control, sec. 6.4. FitError for fewer than three values. Equation (comp-control).
+    not widen them. Equation (comp-control); Montgomery, Introduction to Statistical Quality Control, sec.
+    6.4. FitError for fewer than three values.
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) give no control limits", hint="at least three are needed")
@@ -284,27 +313,24 @@ def control_limits(values: FloatArray) -> ControlLimits:
     return ControlLimits(centre, sigma, low, high, outside)
 
 
-def straight_trend(condition: FloatArray, values: FloatArray, errors: FloatArray) -> WeightedFit:
-    """value = level + slope (x - mean x), weighted by the standard errors (n,) [unit of the values];
-    parameters (level, slope).
-
-    *errors* may be the covariance (n, n) of values with errors in common. FitError for fewer than three
-    values. Equation (comp-straight).
+def straight_trend(
+    condition: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None = None
+) -> WeightedFit:
+    """value = level + slope (x - mean x) of values (n,) [any unit], errors as of `weighted_fit`. FitError for
+    fewer than three. Equation (comp-straight).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     columns = np.column_stack([np.ones_like(condition), condition - np.mean(condition)])
-    return weighted_fit(columns, values, errors)
+    return weighted_fit(columns, values, errors, changes)
 
 
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values
-    (n,) by the standard errors.
+    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values.
 
-    z_i = (y_i - m_i) / sqrt(s_i^2 + s_m^2); where the others scatter more than their errors, all are enlarged
-    (Birge), and the p-values are Student's. Two values give one test with one result for both. *errors* (n,),
-    or the covariance (n, n) of values with errors in common, which cancel here as far as they are alike.
-    FitError for fewer than two. Equation (comp-outlier).
+    Where the others scatter more than their errors, all are enlarged (Birge), and the p-values are Student's.
+    Two values give one test. *errors* (n,), or the covariance (n, n) of values with errors in common, which
+    cancel as far as they are alike. FitError for fewer than two. Equation (comp-outlier).
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")

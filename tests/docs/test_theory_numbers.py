@@ -312,13 +312,13 @@ def test_many_results() -> None:
     expected = np.linalg.inv(columns.T @ weight @ columns)
     assert fit.values == pytest.approx(expected @ columns.T @ weight @ values)  # comp-weighted
     assert fit.covariance == pytest.approx(expected)
-    assert fit.quantile == pytest.approx(stats.norm.ppf(0.975))  # comp-quantile
+    assert fit.quantile(0) == pytest.approx(stats.norm.ppf(0.975))  # comp-quantile
     small = weighted_fit(columns, values, errors / 10)
     left = values - columns @ small.values
     chi2 = np.sum((left / (errors / 10)) ** 2)
     plain = np.linalg.inv(columns.T @ np.diag(100 / errors**2) @ columns)
     assert small.covariance == pytest.approx(plain * chi2 / 2)  # comp-birge
-    assert small.quantile == pytest.approx(stats.t.ppf(0.975, 2))
+    assert small.quantile(0) == pytest.approx(stats.t.ppf(0.975, 2))
     p = np.array([0.04, 0.01, 0.03])
     assert holm(p) == pytest.approx(
         [0.06, 0.03, 0.06]

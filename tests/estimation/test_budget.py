@@ -208,6 +208,26 @@ def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
         assert fit.budget.change_by("x.dof", name) == pytest.approx(expected, abs=0.02 * combined)
 
 
+def test_a_single_sensor_says_that_it_does_not_know_what_it_reads_across(rng) -> None:
+    turned = ChannelUncertainty("direction", Uncertainty("x.dof", np.radians(0.5), "rad"))
+
+    def codes(angle: float) -> list[str]:
+        response = a_response(rng, output=(turned,))
+        response = dataclasses.replace(response, inputs=(Port("f", "f", "f", angle),))
+        (fit,) = identify(response, FitSettings("rotor-2dof-direct", mass=M, name="r"))
+        return [finding.code for finding in fit.findings]
+
+    assert "number-uncertainty" in codes(np.pi / 4)
+    # A force along x moves nothing along y.
+    assert "number-uncertainty" not in codes(0.0)
+
+
+@pytest.mark.parametrize(("mass", "draws"), [("0 kg +- 0.1 kg", 0), ("0.79 kg +- 60 %", 200)])
+def test_a_mass_whose_uncertainty_reaches_zero_is_refused_in_these_words(rng, mass: str, draws: int) -> None:
+    with pytest.raises(FitError, match=r"the uncertainty of the mass 0.* kg reaches zero"):
+        identify(a_response(rng), settings("ml", mass=mass, monte_carlo=draws))
+
+
 def test_a_mass_in_the_settings_keeps_its_uncertainty() -> None:
     given = settings("ml", mass="0.79 kg +- 1 % (k=2)")
     assert given.mass == 0.79

@@ -35,7 +35,7 @@ def uncertainties_of(tmp_path: Path, entry: str) -> tuple[ChannelUncertainty, ..
             Uncertainty("x.gain", 0.01, "1", 30.0),
         ),
         (f"{PROBE}, uncertainty: {{phase: 1 deg}}", "phase", Uncertainty("x.phase", math.pi / 180, "rad")),
-        (f"{PROBE}, delay: 10 us +- 2 us", "delay", Uncertainty("x.delay", 2e-6, "s")),
+        (f"{PROBE}, delay: 10 us +- 2 us", "delay", Uncertainty("x.delay 10 us", 2e-6, "s")),
         (
             f"{PROBE}, dof: 45 deg +- 0.5 deg",
             "direction",

@@ -18,7 +18,7 @@ def test_a_weighted_mean_is_the_textbook_s() -> None:
     assert found.chi2 == pytest.approx(0.3**2 / 0.05, rel=1e-9)
     assert found.p_value == pytest.approx(stats.chi2.sf(1.8, 1), rel=1e-9)
     assert not found.inflated
-    assert found.quantile == pytest.approx(1.959964, abs=1e-6)
+    assert found.quantile(0) == pytest.approx(1.959964, abs=1e-6)
 
 
 def test_a_weighted_line_is_scipy_s(rng) -> None:
@@ -46,8 +46,25 @@ def test_scatter_beyond_the_errors_enlarges_them_by_birge_s_ratio() -> None:
     found = weighted_mean(values, np.full(3, 0.01))
     assert found.inflated
     assert found.std_error(0) == pytest.approx(np.std(values, ddof=1) / np.sqrt(3), rel=1e-12)
-    assert found.quantile == pytest.approx(stats.t.ppf(0.975, 2), rel=1e-12)
+    assert found.quantile(0) == pytest.approx(stats.t.ppf(0.975, 2), rel=1e-12)
     assert found.p_of(0, 2.0) == pytest.approx(stats.ttest_1samp(values, 2.0).pvalue, rel=1e-9)
+
+
+def test_scatter_does_not_enlarge_what_values_have_in_common() -> None:
+    """GUM: of values with the error b in common the mean has s^2 / n + b^2, s their own scatter, and Welch
+    and Satterthwaite's degrees of freedom. A contrast has no b, nor has a slope.
+    """
+    values = np.array([1.0, 2.0, 4.0])
+    found = weighted_mean(values, np.full(3, 0.01), np.full((1, 3), 5.0))
+    own = np.var(values, ddof=1) / 3
+    assert found.values[0] == pytest.approx(7 / 3)
+    assert found.std_error(0) == pytest.approx(np.sqrt(own + 25), rel=1e-9)
+    assert found.quantile(0) == pytest.approx(stats.t.ppf(0.975, 2 * ((own + 25) / own) ** 2), rel=1e-9)
+    columns = np.column_stack([np.ones(3), [-1.0, 0.0, 1.0]])
+    line = weighted_fit(columns, values, np.full(3, 0.01), np.full((1, 3), 5.0))
+    alone = weighted_fit(columns, values, np.full(3, 0.01))
+    assert line.std_error(1) == pytest.approx(alone.std_error(1), rel=1e-9)
+    assert line.reach(np.array([0.0, 1.0])) == pytest.approx(alone.amount("a", "", 1).ci95[1] - 1.5, rel=1e-6)
 
 
 def test_one_value_has_its_own_error_and_no_scatter() -> None:
@@ -65,7 +82,7 @@ def test_intervals_cover_at_the_stated_rate(rng) -> None:
     hits = 0
     for _ in range(2000):
         found = weighted_mean(errors * rng.standard_normal(5), errors)
-        hits += abs(found.values[0]) <= found.quantile * found.std_error(0)
+        hits += abs(found.values[0]) <= found.quantile(0) * found.std_error(0)
     assert hits / 2000 == pytest.approx(0.95, abs=0.015)
 
 

@@ -293,14 +293,14 @@ SERIES = "; corrected for the bending shaft"
 def stiffness_ratio(
     campaign: Campaign, matched: Sequence[Matched], overlays: tuple[Overlay, ...], bending_error: float
 ) -> Comparison:
-    """Mean of ln(measured / theory) over the tests by generalised least squares with `joint_covariance`.
+    """Mean of ln(measured / theory) over the tests by generalised least squares with `joint_errors_of`.
 
     *bending_error*: relative standard error of the shaft's stiffness. Equation (comp-ratio).
     """
     logs = np.array([test.log[0] for test in matched])
-    covariance = joint_covariance(matched, 0, campaign.settings.setting_error, bending_error)
-    mean = weighted_mean(logs, covariance)
-    ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile)
+    errors, changes = joint_errors_of(matched, 0, campaign.settings.setting_error, bending_error)
+    mean = weighted_mean(logs, errors, changes)
+    ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
     assert ratio.ci95 is not None
     low, high = ratio.ci95
@@ -311,19 +311,18 @@ def stiffness_ratio(
     )
     amounts = (ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True))
     verdict = "stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory"
-    points = _points(campaign, matched, np.sqrt(np.diag(covariance)))
+    points = _points(campaign, matched, _single(errors, changes))
     comparison = campaign.comparison(amounts, verdict, result + _one_factor(mean))
     return replace(comparison, points=points, overlays=overlays)
 
 
-def joint_covariance(
+def joint_errors_of(
     matched: Sequence[Matched], number: int, setting_error: float, bending_error: float
-) -> FloatArray:
-    """Covariance (n, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1).
+) -> tuple[FloatArray, FloatArray]:
+    """Standard errors (n,) and changes (n_source, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1).
 
-    V = diag(s_fit^2 + (d ln / d ln x  s_x)^2) + b b^T + sum c c^T, b = d ln / d ln k_s  s_ks: noise and the
-    setting of the condition are independent between tests, the errors of the shaft's stiffness, of sensors
-    and of the bearing file's numbers (c) are common to all that have them. Equation (comp-joint).
+    Noise and the setting of the condition are independent between tests; the errors of the shaft's stiffness,
+    of sensors and of the bearing file's numbers are common. Equation (comp-joint).
     """
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
@@ -331,7 +330,11 @@ def joint_covariance(
     common = matrix_of(
         [{source: float(change[number]) for source, change in test.to_sources.items()} for test in matched]
     )
-    return np.diag(fits + setting**2) + np.outer(shared, shared) + common.T @ common
+    return np.sqrt(fits + setting**2), np.vstack([shared, common])
+
+
+def _single(errors: FloatArray, changes: FloatArray) -> FloatArray:
+    return np.hypot(errors, np.linalg.norm(changes, axis=0))
 
 
 def _one_factor(mean: WeightedFit) -> str:
@@ -358,24 +361,26 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     c / k. Equation (comp-rayleigh).
     """
     if matched is None:
-        logs, covariance = _log_betas([observation.fit for observation in campaign.observations])
+        logs, errors, changes = _log_betas([observation.fit for observation in campaign.observations])
     else:
         logs = np.array([test.log[1] for test in matched])
-        covariance = joint_covariance(matched, 1, campaign.settings.setting_error, bending_error)
-    mean = weighted_mean(logs, covariance)
+        errors, changes = joint_errors_of(matched, 1, campaign.settings.setting_error, bending_error)
+    mean = weighted_mean(logs, errors, changes)
     stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
-    change = weighted_fit(columns, logs, covariance)
-    exponent = with_error("exponent", "1", 1 + float(change.values[1]), change.std_error(1), change.quantile)
+    change = weighted_fit(columns, logs, errors, changes)
+    exponent = with_error(
+        "exponent", "1", 1 + float(change.values[1]), change.std_error(1), change.quantile(1)
+    )
     if mean.p_value is None:
         raise FitError("one test cannot show whether damping is proportional to stiffness")
     verdict = "not proportional" if mean.p_value < campaign.settings.level else "proportional"
-    beta = from_log("beta", "s", float(mean.values[0]), mean.std_error(0), mean.quantile)
+    beta = from_log("beta", "s", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
     result = (
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
     points = []
-    for point, log, error in zip(campaign.points(), logs, np.sqrt(np.diag(covariance)), strict=True):
+    for point, log, error in zip(campaign.points(), logs, _single(errors, changes), strict=True):
         ratio = from_log("ratio", "1", float(log - np.log(beta.value)), float(error), NORMAL)
         theory = point.value / ratio.value
         points.append(replace(point, theory=theory, ratio=ratio.value, ratio_ci95=ratio.ci95))
@@ -384,11 +389,11 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     return replace(campaign.comparison(amounts, verdict, statement), points=tuple(points))
 
 
-def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray]:
+def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray, FloatArray]:
     logs = np.array([_logarithms(fit) @ BETA for fit in fits])
-    variances = np.diag([BETA @ log_covariance(fit) @ BETA for fit in fits])
+    variances = np.array([BETA @ log_covariance(fit) @ BETA for fit in fits])
     common = common_changes(fits, lambda fit, source: float(_log_change(fit, source) @ BETA))
-    return logs, variances + common.T @ common
+    return logs, np.sqrt(variances), common
 
 
 # The condition is raised by this share for the slope of the theory.
