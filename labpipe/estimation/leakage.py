@@ -313,15 +313,15 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
         return None
     points = leakage.points_of(model, parameters)
     deviation = points - np.einsum("m,lmoi->loi", leakage.kernel.weights, points)[:, None]
-    power = _force_power(measured)
-    apparent = _apparent(leakage, deviation, power) / measured.noise_dof
+    ratios = _force_ratios(measured, leakage.kernel.blocks.apart)
+    apparent = _apparent(leakage, deviation, ratios) / measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
     white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
     of_noise = white @ np.linalg.cholesky(noise)
     pairs = []
     for distance, shared in enumerate([1.0, *leakage.correlation.tolist(), 0.0]):
         first, second = leakage.pairs(distance)
-        covariance, turned = _scatter(leakage, deviation, power, distance)
+        covariance, turned = _scatter(leakage, deviation, ratios, distance)
         correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (
             of_noise[first] @ hermitian(of_noise[second])
         )
@@ -330,27 +330,26 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
     return LineBlocks(measured.omega.size, tuple(pairs))
 
 
-def _force_power(measured: Measured) -> FloatArray:
-    """Power of every force relative to the first, (n_input,) [1], by the noise of H, which is over it."""
+def _force_ratios(measured: Measured, apart: bool) -> FloatArray:
+    """Power of every force over that of each, (n_input, n_input) [1], by the noise of H, which is over it; of
+    forces *apart*, which share no recording, of each alone.
+    """
     assert measured.covariance is not None
     _, n_output, n_input = measured.matrix.shape
+    if apart:
+        return np.eye(n_input)
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
-    return np.asarray(np.median(variance[:, :, :1] / variance, axis=(0, 1)))
+    power = np.median(variance[:, :, :1] / variance, axis=(0, 1))
+    return np.outer(power, 1 / power)
 
 
-def _apparent(leakage: Leakage, deviation: ComplexArray, power: FloatArray) -> ComplexArray:
+def _apparent(leakage: Leakage, deviation: ComplexArray, ratios: FloatArray) -> ComplexArray:
     """Covariance (n_line, n, n) [m^2/N^2] of H by leakage in a block's residual, as of independent blocks."""
-    weighted = deviation * (leakage.kernel.weights[:, None, None] * power)
-    return _by_force(_rows(weighted) @ hermitian(_rows(deviation)), power)
-
-
-def _rows(deviation: ComplexArray) -> ComplexArray:
-    n_line, n_point, n_output, n_input = deviation.shape
-    return deviation.transpose(0, 2, 1, 3).reshape(n_line, n_output, n_point * n_input)
+    return _by_force(deviation * leakage.kernel.weights[:, None, None], deviation, ratios)
 
 
 def _scatter(
-    leakage: Leakage, deviation: ComplexArray, power: FloatArray, distance: int
+    leakage: Leakage, deviation: ComplexArray, ratios: FloatArray, distance: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """E[d_k d_l^H] and E[d_k d_l^T] (n_pair, n, n) [m^2/N^2] of the leakage d of lines *distance* apart.
 
@@ -363,24 +362,26 @@ def _scatter(
     step = distance * POINTS
     both = kernel.amplitude[step:] * kernel.amplitude[: kernel.amplitude.size - step]
     left, right = deviation[first][:, step:], deviation[second][:, : deviation.shape[1] - step]
-    n = deviation.shape[2] * power.size
-    left_rows, right_rows = _rows(left * power), hermitian(_rows(right))
-    left, right = (np.ascontiguousarray(side).reshape(*side.shape[:2], n) for side in (left, right))
+    n = deviation[0, 0].size
+    rows, columns = (np.ascontiguousarray(side).reshape(*side.shape[:2], n) for side in (left, right))
     covariance, turned = np.zeros((2, first.size, n, n), np.complex128)
     for weight, phases in kernel.shifts():
         shifted = weight / kernel.blocks.number * both * phases[step:]
-        products = (left_rows * np.repeat(shifted, power.size)) @ right_rows
-        covariance += _by_force(products, power) * np.vdot(phases[step:], both)
-        there = (shifted @ left).reshape(-1, *deviation.shape[2:])
-        back = (both * phases[step:].conj() @ right).reshape(-1, *deviation.shape[2:])
-        turned += np.einsum("koj,kpi->koipj", there, back).reshape(-1, n, n)
+        of_forces = _by_force(left * shifted[:, None, None], right, ratios)
+        covariance += of_forces * np.vdot(phases[step:], both)
+        there = (shifted @ rows).reshape(-1, *deviation.shape[2:])
+        back = (both * phases[step:].conj() @ columns).reshape(-1, *deviation.shape[2:])
+        turned += np.einsum("koj,kpi,ij->koipj", there, back, ratios > 0).reshape(-1, n, n)
     return covariance, turned
 
 
-def _by_force(products: ComplexArray, power: FloatArray) -> ComplexArray:
-    n_pair, n_output, _ = products.shape
-    n = n_output * power.size
-    return np.einsum("kop,ij->koipj", products, np.diag(1 / power)).reshape(n_pair, n, n)
+def _by_force(left: ComplexArray, right: ComplexArray, ratios: FloatArray) -> ComplexArray:
+    """Sums over points of *left* times conjugate *right* (n_line, n_point, n_output, n_input) of the forces
+    by their *ratios*, (n_line, n, n).
+    """
+    products = left.transpose(0, 3, 2, 1) @ right.conj().transpose(0, 3, 1, 2)
+    by_force = np.einsum("kiop,ij,jl->kojpl", products, ratios, np.eye(len(ratios)), optimize=True)
+    return by_force.reshape(len(left), left[0, 0].size, -1)
 
 
 def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexArray:

@@ -225,7 +225,8 @@ class Blocks:
 
     degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives:
     in time of what was averaged, beyond those of the response's form; -2 for a transmissibility from an
-    accelerometer on the base and a probe on the mass.
+    accelerometer on the base and a probe on the mass. apart: every force has *number* blocks of its own, and
+    the noise of these.
     """
 
     length: float
@@ -235,6 +236,7 @@ class Blocks:
     estimator: str
     degree: int = 0
     derivatives: int = 0
+    apart: bool = False
 
 
 @dataclass(frozen=True, repr=False)

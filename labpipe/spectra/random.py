@@ -123,6 +123,9 @@ INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
     "Hv": adjusted_forces_as_instruments,
 }
 
+# Variance of a fit with estimated weights over that with known ones, up to which every force keeps its own
+# noise (Equation (est-weights)); shortest over longest of recordings that count as equally long.
+MOST_LOST, ABOUT_EQUAL = 2.0, 0.9
 # A record of which the spectra of the whole and of its first half are known; None where that is too short. Of
 # the half the columns of the forces may be all there is.
 Halved = tuple[CrossSpectra, CrossSpectra | None]
@@ -242,23 +245,30 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     ]
     spectra = [whole for whole, _ in halved]
     blocks = blocks_of(spectra, settings, settings.estimator, layout.derivatives)
-    parts = parts_of_spectra(spectra, settings, layout)
+    apart = settings.estimator == "H1" and layout.one_force_each and known_by_force(spectra, layout)
+    if apart:
+        blocks = replace(blocks, number=blocks.number // len(layout.inputs), apart=True)
+    parts = parts_of_spectra(spectra, settings, layout, apart=apart)
     n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
     change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
     return replace(parts, blocks=blocks, change=change)
 
 
 def parts_of_spectra(
-    spectra: Sequence[CrossSpectra], settings: FrfSettings, layout: Layout, half_width: int = 0
+    spectra: Sequence[CrossSpectra],
+    settings: FrfSettings,
+    layout: Layout,
+    half_width: int = 0,
+    apart: bool = False,
 ) -> Parts:
     """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over
-    *half_width* lines around. DataError when the forces, or the outputs an estimator inverts, are not
-    independent.
+    *half_width* lines around, or *apart* of every force. DataError when the forces, or the outputs an
+    estimator inverts, are not independent.
     """
     chosen = lines_left(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
     if settings.estimator == "H1" and layout.one_force_each:
-        return parts_of_single_forces(spectra, chosen, layout, half_width)
+        return parts_of_single_forces(spectra, chosen, layout, half_width, apart)
     matrix = at_lines(joined_spectra(spectra, layout), chosen)
     s_uu, s_yu, s_yy = (
         matrix[:, :n_input, :n_input],
@@ -386,63 +396,71 @@ def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) 
 
 
 def parts_of_single_forces(
-    spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout, half_width: int = 0
+    spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout, half_width: int, apart: bool
 ) -> Parts:
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
-    numbers of blocks. The noise of the responses, S_yy - H S_uy, is that of all recordings, averaged over
-    *half_width* lines around, and raised or lowered where a force's own recordings have another level.
-    DataError for a force without power.
+    numbers of blocks. The noise of the responses, S_yy - H S_uy, is that of a force's own recordings where
+    *apart*: leakage differs from force to force and from line to line. Else it is that of all, averaged over
+    *half_width* lines around, and raised or lowered where a force's recordings have another level.
+    cov(H_oi, H_pi) = S_rr,i[o, p] / power_i, a block for every force. DataError for a force without power.
     """
-    power, s_yu, s_yy, by_force = _sum(spectra, chosen, layout)
+    power, s_yu, by_force = _sum(spectra, chosen, layout)
+    s_yy = by_force.sum(axis=1)
     quality.check_power(power)
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
     covariance: StoredCovariance = None
+    dof = averages - n_input
     if averages > n_input + 1:
-        residual = without_rounding(s_yy - response @ hermitian(s_yu))
-        of_force = np.array([spectrum.averages for spectrum in spectra]) @ (
-            np.array(layout.input_columns) >= 0
-        )
-        covariance = _covariance(
-            pooled_residual(residual, response, half_width),
-            power * (averages - n_input),
-            noise_levels(by_force - np.abs(s_yu) ** 2 / power[:, None], of_force - 1),
-        )
+        noise = without_rounding(by_force - np.einsum("loi,lpi,li->liop", s_yu, s_yu.conj(), 1 / power))
+        freedoms = _freedoms(spectra, layout)
+        if apart:
+            dof, freedoms = float(np.min(freedoms)), freedoms[:, None, None]
+        else:
+            size = np.sqrt(noise_levels(np.einsum("lioo->loi", noise).real, freedoms)).T
+            pooled = pooled_residual(noise.sum(axis=1), response, half_width)
+            noise, freedoms = pooled[:, None] * (size[:, :, None] * size[:, None, :]), np.array(dof)
+        elements = np.arange(response[0].size).reshape(-1, n_input).T
+        covariance = BlockCovariance(elements, handed_over(noise / (power[:, :, None, None] * freedoms)))
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
+        dof=np.inf if covariance is None else dof,
         coherence=quality.coherence_by_power(power, s_yu, s_yy),
         partial_coherence=quality.partial_coherence(1 / power, response, s_yu, s_yy),
     )
 
 
+def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
+    """Whether the recordings of every force, about equally long, tell its noise so well that weights by it
+    make the variance of a fit no more than MOST_LOST times as large.
+    """
+    dof, n_output = _freedoms(spectra, layout), len(layout.outputs)
+    least = float(np.min(dof))
+    known = least > n_output and least**2 <= MOST_LOST * ((least - n_output) ** 2 - 1)
+    return known and least >= ABOUT_EQUAL * float(np.max(dof))
+
+
+def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
+    """Degrees of freedom (n_input,) of the noise in the recordings of every force."""
+    return np.array([spectrum.averages for spectrum in spectra]) @ (np.array(layout.input_columns) >= 0) - 1
+
+
 def _sum(
     spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout
-) -> tuple[FloatArray, ComplexArray, ComplexArray, FloatArray]:
-    """S_uu (n_line, n_input) [N^2/Hz], S_yu (n_line, n_output, n_input) and S_yy (n_line, n_output, n_output)
-    over all recordings; the part of its diagonal from those of each force (n_line, n_output, n_input).
+) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """S_uu (n_line, n_input) [N^2/Hz], S_yu (n_line, n_output, n_input) over all recordings; the part of S_yy
+    from those of each force (n_line, n_input, n_output, n_output).
     """
     n_line, n_input, n_output = int(np.count_nonzero(chosen)), len(layout.inputs), len(layout.outputs)
     power = np.zeros((n_line, n_input))
-    s_yu, s_yy = (np.zeros((n_line, n_output, n), np.complex128) for n in (n_input, n_output))
-    by_force = np.zeros((n_line, n_output, n_input))
+    s_yu = np.zeros((n_line, n_output, n_input), np.complex128)
+    by_force = np.zeros((n_line, n_input, n_output, n_output), np.complex128)
     n_block = sum(spectrum.n_block for spectrum in spectra)
     for spectrum, inputs, outputs in zip(spectra, layout.input_columns, layout.output_columns, strict=True):
         ((force, column),) = [(number, column) for number, column in enumerate(inputs) if column >= 0]
         matrix, rows, share = spectrum.matrix[chosen], list(outputs), spectrum.n_block / n_block
         power[:, force] += share * matrix[:, column, column].real
         s_yu[:, :, force] += share * matrix[:, rows, column]
-        s_yy += share * matrix[:, rows][:, :, rows]
-        by_force[:, :, force] += share * matrix[:, rows, rows].real
-    return power, s_yu, s_yy, by_force
-
-
-def _covariance(residual: ComplexArray, power: FloatArray, levels: FloatArray) -> BlockCovariance:
-    """cov(H_oi, H_pi) = S_rr[o, p] sqrt(g_oi g_pi) / power_i, a block for every force. *power* (n_line,
-    n_input) [N^2/Hz] times degrees of freedom; *levels* g (n_output, n_input) [1].
-    """
-    n_output, n_input = residual.shape[1], power.shape[1]
-    elements = np.arange(n_output * n_input).reshape(n_output, n_input).T
-    size = np.sqrt(levels).T
-    blocks = residual[:, None] / power[:, :, None, None] * (size[:, :, None] * size[:, None, :])
-    return BlockCovariance(elements, handed_over(blocks))
+        by_force[:, force] += share * matrix[:, rows][:, :, rows]
+    return power, s_yu, by_force

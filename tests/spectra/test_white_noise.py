@@ -86,3 +86,44 @@ def test_where_leakage_is_the_noise_intervals_are_as_wide_as_the_scatter(rig: Wh
     assert np.mean(np.abs(errors) < 1.96) > 0.90
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.17)
     assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1, abs=0.02)
+
+
+def quiet(rig: WhiteNoiseRig, **changed: float) -> WhiteNoiseRig:
+    """Noise of the sensors far below the leakage of blocks of 2 s."""
+    more = {"sample_rate": 512.0, "bandwidth": 200.0, "block": 2.0, "blocks": 12, "unbalance": 0.0, **changed}
+    return replace(rig, noise=SensorNoise(3e-7, 0.0), **more)
+
+
+SHORT = FrfSettings(excitation="random", block=2.0, band=(60.0, 110.0))
+
+
+def test_every_force_has_the_noise_of_its_own_recordings(rig: WhiteNoiseRig) -> None:
+    # As of each recording by itself, whose covariance is that of one force.
+    both = recordings(quiet(rig), 2)
+    together, alone = measure(both, SHORT), [measure([recording], SHORT) for recording in both]
+    assert together.covariance_dof == pytest.approx(alone[0].covariance_dof)
+    for force, own in enumerate(alone):
+        elements = np.arange(2) * 2 + force
+        block = together.covariance[:, elements[:, None], elements]
+        size = np.abs(own.covariance).max(axis=(1, 2), keepdims=True)
+        np.testing.assert_allclose(block / size, own.covariance / size, atol=1e-9)
+    # Two responses and four blocks: nu = 5.7, and 32 > 2 (3.7^2 - 1).
+    few = measure(recordings(quiet(rig, blocks=4), 2), SHORT)
+    assert few.covariance_dof == pytest.approx(few.averages - 2)
+
+
+def test_a_right_model_fits_leakage_of_two_forces(rig: WhiteNoiseRig) -> None:
+    # 800 equations, lines share noise: chi2/dof 1 +- .07. The leakage of both forces pooled: above 3.
+    fit = fitted(quiet(rig), SHORT, 3)
+    assert fit.gof.chi2_reduced == pytest.approx(1.0, abs=0.2)
+    assert not [finding for finding in fit.findings if finding.code == "model-mismatch"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("blocks", [7, 24])
+def test_intervals_where_leakage_of_two_forces_is_the_noise(rig: WhiteNoiseRig, blocks: int) -> None:
+    # 10 runs of 8 parameters, rms 1 +- .08.
+    fits = [fitted(quiet(rig, blocks=blocks), SHORT, seed) for seed in range(10)]
+    errors = np.array([normal_errors(fit, rig) for fit in fits])
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.24)
+    assert np.mean([fit.gof.chi2_reduced for fit in fits]) == pytest.approx(1, abs=0.06)
