@@ -259,9 +259,13 @@ def test_tests_without_the_condition_are_left_out() -> None:
     np.testing.assert_array_equal(series.values, [1.0])
 
 
-def test_a_missing_error_is_no_number() -> None:
-    (series,) = trends([row(1.0, "1 N", error=None), row(2.0, "2 N")], "preload")
-    np.testing.assert_array_equal(series.errors, [np.nan, 1.0])
+def test_a_missing_error_leaves_no_line() -> None:
+    rows = [row(value, f"{value:g} N") for value in (1.0, 2.0, 3.0)]
+    (whole,), (series,) = (
+        trends(rows, "preload"),
+        trends([replace(rows[0], random_error=None), *rows[1:]], "preload"),
+    )
+    assert whole.line is not None and series.line is None
 
 
 def test_what_cannot_be_a_trend_is_said() -> None:
