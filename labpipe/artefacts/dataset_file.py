@@ -9,11 +9,10 @@ added as further parts.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -52,9 +51,7 @@ _TYPES: Mapping[str, pa.DataType] = {
     "changes": pa.map_(pa.string(), pa.float64()),
 }
 COLUMNS = tuple(
-    field.name
-    for field in dataclasses.fields(dataset.DatasetRow)
-    if field.name not in (*_PARTITIONS, "conditions")
+    field.name for field in fields(dataset.DatasetRow) if field.name not in (*_PARTITIONS, "conditions")
 )
 
 

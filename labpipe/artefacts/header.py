@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import hashlib
 import json
 import os
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, distribution, entry_points
 from pathlib import Path
 from typing import Any
@@ -128,8 +127,7 @@ class Header:
     def to_json(self) -> str:
         """The header as JSON entries."""
         return json.dumps(
-            {name: entry for name, entry in dataclasses.asdict(self).items() if name != "digest"},
-            allow_nan=False,
+            {name: entry for name, entry in asdict(self).items() if name != "digest"}, allow_nan=False
         )
 
     def same_work(self, other: Header) -> bool:

@@ -7,10 +7,10 @@ read as well.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ def read_fit(entry: dict[str, Any]) -> Fit:
     """The fit of its entry."""
     fit: Fit = json_file.record_of({**entry, "findings": findings_of(entry)}, Fit)
     kinds = ((key, DETAILS.load(key)) for key in DETAILS.names() if entry.get(key) is not None)
-    return dataclasses.replace(
+    return replace(
         fit,
         # Of no estimate it is an empty list.
         correlation=fit.correlation.reshape(2 * (len(fit.correlation),)),
@@ -92,7 +92,7 @@ def _work(settings: Sequence[Any], responses: Sequence[SourceRef]) -> dict[str, 
         "labpipe": __version__,
         "code": code_digest(),
         "settings": [json_file.entry_of(fit) for fit in settings],
-        "responses": [dataclasses.asdict(response) for response in responses],
+        "responses": [asdict(response) for response in responses],
     }
     return json.loads(json.dumps(entry))
 
@@ -140,7 +140,7 @@ NAME = "identification.json"
 
 def write_identification(path: Path, identification: Identification) -> None:
     """Write the result."""
-    failed = [dataclasses.asdict(failed) for failed in identification.failed]
+    failed = [asdict(failed) for failed in identification.failed]
     spectra = [_spectra_entry(spectra) for spectra in identification.spectra]
     of_rules: dict[str, list[dict[str, Any]]] = {"accept": [], "expect": []}
     for outcome in identification.outcomes:
@@ -283,7 +283,7 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     for entry, shown in zip(rules, texts, strict=True):
         decision = json_file.record_of(entry, RuleDecision) if "outcome" in entry else None
         outcome = json_file.record_of({**entry, "section": key, "shown": shown}, RuleOutcome)
-        outcomes.append(dataclasses.replace(outcome, decision=decision))
+        outcomes.append(replace(outcome, decision=decision))
     return outcomes
 
 
@@ -299,8 +299,8 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
     return {
         "test": response.name,
         "form": response.form,
-        "outputs": [dataclasses.asdict(port) for port in response.outputs],
-        "inputs": [dataclasses.asdict(port) for port in response.inputs],
+        "outputs": [asdict(port) for port in response.outputs],
+        "inputs": [asdict(port) for port in response.inputs],
         "frequency_hz": response.frequency.tolist(),
         "matrix": json_file.entry_of(response.matrix),
         "variance": None if variance is None else variance.tolist(),
@@ -346,7 +346,7 @@ def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
     """
     return {
         "test": spectra.name,
-        "channels": [dataclasses.asdict(channel) for channel in spectra.channels],
+        "channels": [asdict(channel) for channel in spectra.channels],
         "runs": list(spectra.runs),
         "frequency_hz": spectra.frequency.tolist(),
         "vectors": json_file.entry_of(spectra.vectors),

@@ -8,7 +8,6 @@ passed over; those that are missing take the default.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import hashlib
 import json
@@ -16,6 +15,7 @@ import math
 import re
 import types
 from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -38,7 +38,7 @@ def entry_of(record: Any) -> Any:
     """JSON entries of a record; TypeError for a type without a JSON form."""
     if record is None or type(record) in PLAIN:
         return record
-    if dataclasses.is_dataclass(record) and not isinstance(record, type):
+    if is_dataclass(record) and not isinstance(record, type):
         elsewhere = _contents_elsewhere(record)
         names = (name for name in _stored_fields(type(record)) if name not in elsewhere)
         return {name: entry_of(getattr(record, name)) for name in names}
@@ -61,7 +61,7 @@ def entry_of(record: Any) -> Any:
 
 @functools.cache
 def _stored_fields(owner: type) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(owner) if field.metadata.get("entry", True))
+    return tuple(field.name for field in fields(owner) if field.metadata.get("entry", True))
 
 
 def _contents_elsewhere(record: Any) -> set[str]:
@@ -85,7 +85,7 @@ def record_of(entry: Any, kind: Any) -> Any:
         return {key: record_of(value, get_args(kind)[1]) for key, value in _need(entry, dict).items()}
     if origin is np.ndarray:
         return _array(entry, kind)
-    if dataclasses.is_dataclass(kind):
+    if is_dataclass(kind):
         return _dataclass(entry, kind)
     if hasattr(origin, "__value__"):
         # The fields of a plug-in's record may be NDArray.
@@ -104,7 +104,7 @@ def _kind_of_value(kind: Any, entry: Any) -> Any:
 def _dataclass(entry: Any, kind: Any) -> Any:
     hints = _hints(kind)
     values: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):
+    for field in fields(kind):
         if field.name not in _need(entry, dict):
             continue
         value = entry[field.name]

@@ -4,9 +4,9 @@ covariance.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ def write_response(path: Path, response: FrequencyResponse, header: Header) -> N
         columns |= _parts(f"cov:{p}:{q}:", response.covariance_of(p, q))
     if response.snr is not None:
         columns.update({f"{name}:snr": response.snr[:, n] for n, name in enumerate(response.snr_channels)})
-    header = dataclasses.replace(header, contents=_contents(response), findings=response.findings)
+    header = replace(header, contents=_contents(response), findings=response.findings)
     write_columns(path, columns, header)
 
 
@@ -93,17 +93,17 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
     return {
         "name": response.name,
         "form": response.form,
-        "outputs": [dataclasses.asdict(port) for port in response.outputs],
-        "inputs": [dataclasses.asdict(port) for port in response.inputs],
+        "outputs": [asdict(port) for port in response.outputs],
+        "inputs": [asdict(port) for port in response.inputs],
         "averages": float(response.averages),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         # A number where it is real, as files have always had it; real and imaginary part of a complex one.
         "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
         **({"covariance_blocks": stored.elements.tolist()} if isinstance(stored, BlockCovariance) else {}),
-        "blocks": None if response.blocks is None else dataclasses.asdict(response.blocks),
+        "blocks": None if response.blocks is None else asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
-        "errors": [dataclasses.asdict(error.uncertainty) for error in response.errors],
+        "errors": [asdict(error.uncertainty) for error in response.errors],
         **repeats,
         "conditions": response.conditions,
     }
@@ -230,7 +230,7 @@ def write_spectra(path: Path, spectra: ChannelSpectra, header: Header) -> None:
             columns |= _parts(f"{run + 1}/{channel.name}:", spectra.vectors[:, run, number])
         for p, q in _upper(len(spectra.channels)):
             columns |= _parts(f"cov:{run + 1}:{p}:{q}:", spectra.covariance[:, run, p, q])
-    header = dataclasses.replace(header, contents=_spectra_contents(spectra), findings=spectra.findings)
+    header = replace(header, contents=_spectra_contents(spectra), findings=spectra.findings)
     write_columns(path, columns, header)
 
 
@@ -246,7 +246,7 @@ def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
         "runs": list(spectra.runs),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
-        "blocks": None if spectra.blocks is None else dataclasses.asdict(spectra.blocks),
+        "blocks": None if spectra.blocks is None else asdict(spectra.blocks),
         "factors": [
             {**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors
         ],
@@ -308,13 +308,13 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
     contents = {
         "name": decays.name,
         "sample_rate": decays.sample_rate,
-        "outputs": [dataclasses.asdict(port) for port in decays.outputs],
+        "outputs": [asdict(port) for port in decays.outputs],
         "units": list(decays.units),
         "recordings": [decay.recording for decay in decays.decays],
         "starts": [decay.start for decay in decays.decays],
         "conditions": decays.conditions,
     }
-    write_columns(path, columns, dataclasses.replace(header, contents=contents, findings=decays.findings))
+    write_columns(path, columns, replace(header, contents=contents, findings=decays.findings))
 
 
 def read_decays(path: Path) -> FreeDecays:

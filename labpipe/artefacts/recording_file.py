@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar, cast
@@ -104,7 +104,7 @@ class RecordingWriter:
         assert self._header is not None
         digest, checksum = self._digests
         header = header_from_json(self._header.to_json(), self._path, "recording", digest)
-        return dataclasses.replace(_recording_of(self._path, header), checksum=checksum)
+        return replace(_recording_of(self._path, header), checksum=checksum)
 
 
 def recording_contents(
@@ -123,7 +123,7 @@ def recording_contents(
 
 def channel_entries(channels: Sequence[Channel]) -> list[dict[str, Any]]:
     """Channels in a header, with the unit of their numbers."""
-    return [{**dataclasses.asdict(channel), "unit": channel.unit} for channel in channels]
+    return [{**asdict(channel), "unit": channel.unit} for channel in channels]
 
 
 def channels_of(entries: Sequence[Mapping[str, Any]]) -> tuple[Channel, ...]:
@@ -131,7 +131,7 @@ def channels_of(entries: Sequence[Mapping[str, Any]]) -> tuple[Channel, ...]:
     return tuple(Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in entries)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class StoredRecording:
     """A recording on disk. Satisfies SampleSource: its blocks are read on request."""
 

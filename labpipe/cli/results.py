@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import click
@@ -57,7 +57,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
 
 def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
     """A row with one column per condition, as written in the pipeline."""
-    entry = {field.name: getattr(row, field.name) for field in dataclasses.fields(row)}
+    entry = {field.name: getattr(row, field.name) for field in fields(row)}
     conditions = entry.get("conditions", {})
     for name in BESIDE:
         entry.pop(name, None)
@@ -219,7 +219,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
         )
     selected = [pair for pair in pairs if not parameter or pair.parameter in parameter]
     if table is not None:
-        write_rows(table, [dataclasses.asdict(pair) for pair in selected])
+        write_rows(table, [asdict(pair) for pair in selected])
     if selected:
         header = ("fit", "test", "parameter", "first", "second", "difference", "std. error", "unit", "p", "")
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))

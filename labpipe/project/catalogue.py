@@ -4,7 +4,6 @@ written whole, it needs no lock, and a damaged one is made again.
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import functools
 import json
@@ -15,7 +14,7 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -321,7 +320,7 @@ class ValueRow:
 
 # What a value has beside its columns.
 BESIDE = ("conditions", "amounts", "digests")
-VALUE_COLUMNS = tuple(field.name for field in dataclasses.fields(ValueRow) if field.name not in BESIDE)
+VALUE_COLUMNS = tuple(field.name for field in fields(ValueRow) if field.name not in BESIDE)
 
 # Columns of which no result lacks the number, though it may not be one.
 NUMBERS = ("value", "low_hz", "high_hz")
@@ -330,7 +329,7 @@ NUMBERS = ("value", "low_hz", "high_hz")
 def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
     """The results with at least one test that meets the criteria, the oldest first."""
     clauses, bound = _clauses(index, criteria)
-    columns = [field.name for field in dataclasses.fields(ResultRow)]
+    columns = [field.name for field in fields(ResultRow)]
     filled = ", ".join(f"coalesce(r.{name}, '')" for name in columns)
     sql = f"SELECT {filled} FROM result r"
     rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY r.date, r.path", bound)

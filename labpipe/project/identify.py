@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from labpipe import __version__
@@ -56,12 +55,12 @@ def identify_stage(
     """
     basis = Identification(
         fits=(),
-        sources=tuple(dataclasses.asdict(source) for source in measured.sources),
+        sources=tuple(asdict(source) for source in measured.sources),
         settings=settings_entry(pipeline, measured.tests),
         rig=rig_entry(pipeline),
         version=__version__,
         failed=measured.failed,
-        inputs=tuple(dataclasses.asdict(reference) for reference in measured.inputs),
+        inputs=tuple(asdict(reference) for reference in measured.inputs),
         code=code_digest(),
     )
     existing = _existing(output)
@@ -78,7 +77,7 @@ def identify_stage(
         failed=list(measured.failed),
     )
     records = _run_sections(work)
-    identification = dataclasses.replace(
+    identification = replace(
         basis,
         fits=tuple(work.fits),
         title=pipeline.title,
@@ -150,4 +149,4 @@ def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:
     """The rig as the report shows it."""
     rig = pipeline.first_rig
-    return {} if rig is None else json.loads(json.dumps(dataclasses.asdict(rig)))
+    return {} if rig is None else json.loads(json.dumps(asdict(rig)))

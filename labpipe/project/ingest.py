@@ -4,12 +4,12 @@ that is read as fast as that copy, and by single columns, is measured as it is r
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -98,7 +98,7 @@ def ingest(
         check_rig(recording.header.parameters, rig, source, "run `labpipe ingest` again, or name its rig")
         return recording
     table = _join([source, *joined], rig, by) if joined else _open(source, rig)
-    parameters = {**dataclasses.asdict(rig), **({"by": by} if by else {})}
+    parameters = {**asdict(rig), **({"by": by} if by else {})}
     inputs = tuple(source_ref(path, base) for path in (source, *joined))
     header = Header("recording", parameters, inputs=inputs)
     if (fresh := fresh_path(output, name + recording_file.SUFFIX, header)) is not None:
@@ -239,7 +239,7 @@ def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> r
             contents = recording_file.recording_contents(channels, sample_rate, name, screen.levels())
             of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
             findings = (*of_table, *screen.findings())
-            writer.finish(dataclasses.replace(header, findings=findings, contents=contents))
+            writer.finish(replace(header, findings=findings, contents=contents))
     except DataError as error:
         error.where = error.where or str(table.path)
         raise

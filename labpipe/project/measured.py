@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -79,11 +79,11 @@ def measured_header(
     conditions: dict[str, str] | None,
 ) -> Header:
     """The header of what is measured from recordings, of raw ones with their rigs."""
-    frf = dataclasses.asdict(settings)
+    frf = asdict(settings)
     parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
     raw = [recording for recording in recordings if isinstance(recording, RawRecording)]
     if raw:
-        parameters[RIGS] = [dataclasses.asdict(recording.rig) for recording in raw]
+        parameters[RIGS] = [asdict(recording.rig) for recording in raw]
     return Header(kind, parameters, inputs=tuple(recording.source_ref() for recording in recordings))
 
 
@@ -119,7 +119,7 @@ def ready_refs(frf: ReadyFrf) -> list[SourceRef]:
 MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class _Kind:
     name: str
     suffix: str
@@ -215,7 +215,7 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
     name, conditions = name or result.name, conditions or result.conditions
     if isinstance(result, FrequencyResponse):
         return result.renamed(name, conditions)
-    return dataclasses.replace(result, name=name, conditions=conditions)
+    return replace(result, name=name, conditions=conditions)
 
 
 def load_ready_measured(ready: ReadyFrf, test: str, conditions: dict[str, str]) -> MeasuredTest:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import errno
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -81,7 +80,7 @@ def one_of_many(identification: Identification, folder: Path, test: str) -> Iden
     }
     measured = [load_measured(path) for path in measured_files(folder, test)]
     fits = folder / fits_file_name(test)
-    return dataclasses.replace(
+    return replace(
         identification,
         fits=tuple(read_fits(fits)) if fits.exists() else (),
         responses=tuple(part for part in measured if isinstance(part, FrequencyResponse)),
@@ -221,9 +220,9 @@ class Job:
         """The same job, to be done by a process that works in another folder."""
         recordings = tuple(source.absolute() for source in self.test.recordings)
         frfs = tuple(frf.absolute() for frf in self.test.frfs)
-        test = dataclasses.replace(self.test, recordings=recordings, frfs=frfs)
+        test = replace(self.test, recordings=recordings, frfs=frfs)
         paths = {name: getattr(self, name).absolute() for name in ("pipeline_path", "target", "scratch")}
-        return dataclasses.replace(self, test=test, **paths)
+        return replace(self, test=test, **paths)
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,7 @@ def brought(job: Job) -> Iterator[Job]:
     paths = [path for source in job.test.recordings for path in source.paths]
     with fetch([] if job.measured_before else paths, job.scratch) as here:
         recordings = tuple(source.at(here) for source in job.test.recordings)
-        yield dataclasses.replace(job, test=dataclasses.replace(job.test, recordings=recordings))
+        yield replace(job, test=replace(job.test, recordings=recordings))
 
 
 def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
@@ -373,7 +372,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
     header = header_of(path)
     made = header.parameters
     conditions = {**dict.fromkeys(job.test.conditions), **made.get("conditions", {})}
-    check_made_with("frf", made.get("frf", {}), dataclasses.asdict(job.frf) if job.frf else {}, path, AGAIN)
+    check_made_with("frf", made.get("frf", {}), asdict(job.frf) if job.frf else {}, path, AGAIN)
     check_made_with("conditions", conditions, job.test.conditions, path, AGAIN)
     if RIGS in made:
         rigs, recorded = made[RIGS], list(header.inputs)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 from labpipe.artefacts.measured_files import RESPONSE_SUFFIX, read_response
@@ -93,15 +93,15 @@ def load_described(
 ) -> FrequencyResponse:
     """The ready response of a test, joined where it lies in several files; DataError names file and line."""
     responses = [
-        dataclasses.replace(_load_file(path, layout, Dofs(outputs, inputs)), name=path.name)
+        replace(_load_file(path, layout, Dofs(outputs, inputs)), name=path.name)
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
     response = join(responses) if layout.each else responses[0]
     if layout.windowed is not None:
         response = undamped(response, layout.windowed.exponential)
     if layout.window and not response.line_correlation:
-        response = dataclasses.replace(response, line_correlation=amplitude_correlation(layout.window))
-    return dataclasses.replace(response, name=name, conditions=conditions or response.conditions)
+        response = replace(response, line_correlation=amplitude_correlation(layout.window))
+    return replace(response, name=name, conditions=conditions or response.conditions)
 
 
 def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
@@ -111,7 +111,7 @@ def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
         response = guard(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
     else:
         response = load_response(path)
-    return dataclasses.replace(
+    return replace(
         response,
         outputs=_rename(response.outputs, dofs.outputs, "outputs", path),
         inputs=_rename(response.inputs, dofs.inputs, "inputs", path),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -122,7 +121,7 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
 def with_repeats_of(settings: FitSettings, repeats: str) -> FitSettings:
     """The settings with what a test says of its *repeats*, where it does and the model takes it."""
     takes = repeats and "repeats" in settings.kind.keys
-    return dataclasses.replace(settings, repeats=repeats) if takes else settings
+    return replace(settings, repeats=repeats) if takes else settings
 
 
 def fits_of(
@@ -152,7 +151,7 @@ def fits_of(
                 raise FitError(what, where, SINGULAR) from error
             error.where = error.where or where
             raise
-        fits.extend(dataclasses.replace(fit, test=measured.name) for fit in test_fits)
+        fits.extend(replace(fit, test=measured.name) for fit in test_fits)
     return fits
 
 

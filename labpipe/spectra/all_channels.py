@@ -5,8 +5,8 @@ freedom lose efficiency.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,7 +80,7 @@ def _average(
     spectrum, _, findings = period_average(source, settings)
     mean = layout.picked(number, spectrum.mean, 1)
     noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
-    return dataclasses.replace(spectrum, mean=mean, noise=noise), findings
+    return replace(spectrum, mean=mean, noise=noise), findings
 
 
 def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
@@ -88,7 +88,7 @@ def _sum(spectrum: LineSpectrum, layout: ChannelLayout) -> LineSpectrum:
     assert spectrum.noise is not None
     noise = transform @ spectrum.noise @ transform.conj().swapaxes(1, 2)
     mean = np.einsum("lcr,lr->lc", transform, spectrum.mean)
-    return dataclasses.replace(spectrum, mean=mean, noise=noise)
+    return replace(spectrum, mean=mean, noise=noise)
 
 
 def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
@@ -109,7 +109,7 @@ def _pool(spectra: Sequence[LineSpectrum], smooth: int) -> list[LineSpectrum]:
         half_width += 1
     return [
         smoothed_noise(
-            dataclasses.replace(s, noise=noise / s.n_period, line_dof=np.full(s.frequency.size, dof)),
+            replace(s, noise=noise / s.n_period, line_dof=np.full(s.frequency.size, dof)),
             half_width,
             with_inverse=True,
         )

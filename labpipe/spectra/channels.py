@@ -4,8 +4,8 @@ calibration.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -146,7 +146,7 @@ class Lags:
         self._lags = (late - np.min(late)).astype(int)
         left = np.round(delays - self._lags / sample_rate, 12)
         self.channels = tuple(
-            dataclasses.replace(channel, delay=float(delay)) if lag else channel
+            replace(channel, delay=float(delay)) if lag else channel
             for channel, delay, lag in zip(channels, left, self._lags, strict=True)
         )
         self.most = int(np.max(self._lags))

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,7 @@ def convert(response: FrequencyResponse, form: str) -> FrequencyResponse:
         raise DataError(what, hint="begin the band above 0 Hz")
     factor = ((2j * np.pi * response.frequency) ** order)[:, None, None]
     covariance, distortion = response.covariance, response.distortion
-    return dataclasses.replace(
+    return replace(
         _with_each(response, lambda values: values * factor),
         covariance=None if covariance is None else covariance * np.abs(factor) ** 2,
         distortion=None if distortion is None else distortion * np.abs(factor),
@@ -79,10 +78,10 @@ def _with_each(
 ) -> FrequencyResponse:
     beside = {name: getattr(response, name) for name in ("change", "open_loop", "repeats")}
     turned: dict[str, Any] = {name: None if part is None else turn(part) for name, part in beside.items()}
-    return dataclasses.replace(
+    return replace(
         response,
         matrix=turn(response.matrix),
-        errors=tuple(dataclasses.replace(error, change=turn(error.change)) for error in response.errors),
+        errors=tuple(replace(error, change=turn(error.change)) for error in response.errors),
         **turned,
     )
 
@@ -113,7 +112,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
     )
     ports = tuple(Port(label, label, label) for label in FORWARD_BACKWARD)
     nothing: dict[str, Any] = dict.fromkeys(OF_ELEMENTS)
-    return dataclasses.replace(
+    return replace(
         _with_each(response, lambda values: from_left @ values @ from_right),
         covariance=covariance,
         outputs=ports,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,7 +92,7 @@ def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
         what = "the lines are not evenly spaced, so that a window cannot be taken out"
         raise DataError(what, hint="leave out windowed")
     matrix = without_added_damping(response.frequency, response.matrix, decay).matrix
-    return dataclasses.replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
+    return replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
 
 
 def _centre(gains: ComplexArray, first: IntArray) -> ComplexArray:

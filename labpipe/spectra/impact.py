@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -142,7 +141,7 @@ def of_recordings(settings: FrfSettings, chosen: Iterable[int], counts: Sequence
     ends = np.cumsum(counts)
     numbers = [number for n in chosen for number in range(ends[n] - counts[n] + 1, ends[n] + 1)]
     reject: Any = tuple(str(place) for place, n in enumerate(numbers, 1) if n in settings.impact.reject)
-    return dataclasses.replace(settings, impact=dataclasses.replace(settings.impact, reject=reject))
+    return replace(settings, impact=replace(settings.impact, reject=reject))
 
 
 def judged_hit(
@@ -257,23 +256,23 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     )
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
     # chosen afterwards.
-    everywhere = dataclasses.replace(settings, band=None, exclude=())
+    everywhere = replace(settings, band=None, exclude=())
     parts = parts_of_spectra(spectra, everywhere, layout, half_width)
     dof = parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
     covariance = parts.covariance
     if isinstance(covariance, FactoredCovariance):
         covariance = covariance.whole()
-    parts = dataclasses.replace(parts, dof=dof, covariance=covariance)
+    parts = replace(parts, dof=dof, covariance=covariance)
     if len(averages) == 1:
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
         parts = _without_window(parts, settings.damping_window, correlation)
     chosen = lines_left(parts.frequency, settings)
-    parts = _select(dataclasses.replace(parts, findings=(*findings, *parts.findings)), chosen)
+    parts = _select(replace(parts, findings=(*findings, *parts.findings)), chosen)
     errors = [average.force_noise()[chosen] for average in averages]
     windowed = settings.impact.force_window is not None
     findings = list(force_noise_findings(parts, errors, layout, windowed))
-    return dataclasses.replace(parts, findings=(*parts.findings, *findings))
+    return replace(parts, findings=(*parts.findings, *findings))
 
 
 def force_noise_findings(
@@ -318,7 +317,7 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
     inputs, outputs = (
         tuple(columns[number] for number in kept) for columns in (layout.input_columns, layout.output_columns)
     )
-    layout = dataclasses.replace(layout, input_columns=inputs, output_columns=outputs)
+    layout = replace(layout, input_columns=inputs, output_columns=outputs)
     return [averages[number] for number in kept], layout
 
 
@@ -448,7 +447,7 @@ class _HitAverage:
         numbers, peaks, amplitudes = zip(*self._alone, strict=True)
         alone = np.stack(amplitudes, axis=1)
         hits: ComplexArray = alone[:, :, columns, None] / alone[:, :, self.force, None, None]
-        return dataclasses.replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
+        return replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
 
     def slow_finding(self) -> Finding:
         """The warning of responses that ring on at the end of the block."""
@@ -485,7 +484,7 @@ def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Pa
         covariance = BlockCovariance(covariance.elements, handed_over(blocks))
     between = damping.correlation_matrix(np.arange(gains.shape[1]), correlation)
     size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
-    return dataclasses.replace(
+    return replace(
         parts,
         matrix=undamped.matrix,
         covariance=covariance,
@@ -499,5 +498,5 @@ def _select(parts: Parts, chosen: BoolArray) -> Parts:
         name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
     }
     if isinstance(parts.covariance, BlockCovariance):
-        arrays["covariance"] = dataclasses.replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
-    return dataclasses.replace(parts, **arrays)
+        arrays["covariance"] = replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
+    return replace(parts, **arrays)

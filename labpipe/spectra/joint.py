@@ -5,9 +5,8 @@ the error of its own line. docs/pages/theory/response.md says why.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -234,7 +233,7 @@ def _with_references(sources: Sequence[SampleSource], settings: FrfSettings, lay
         columns.append(
             (*(names.index(name) if name in names else -1 for name in settings.reference), *forces_of)
         )
-    return dataclasses.replace(layout, input_columns=tuple(columns))
+    return replace(layout, input_columns=tuple(columns))
 
 
 def _strength_findings(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -108,7 +108,7 @@ def _with_repeats(
         levels.append(_level(source))
     if len(alone) < 2:
         return response
-    return dataclasses.replace(
+    return replace(
         response,
         repeats=np.array(alone),
         repeat_names=tuple(names),
@@ -153,9 +153,9 @@ def _of_sensor_places(
     names = [port.channel for response in responses for port in response.outputs]
     if len(set(names)) < len(names):
         for number, response in enumerate(responses):
-            outputs = tuple(dataclasses.replace(port, label=port.dof) for port in response.outputs)
-            responses[number] = dataclasses.replace(response, outputs=outputs)
-    return dataclasses.replace(join(responses), name=name)
+            outputs = tuple(replace(port, label=port.dof) for port in response.outputs)
+            responses[number] = replace(response, outputs=outputs)
+    return replace(join(responses), name=name)
 
 
 def _measure(

@@ -4,9 +4,8 @@ realisations, nonlinear distortion.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,7 +113,7 @@ def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]
             scatter = [d[:, None, None] * s.n_period * n for d, (s, n) in zip(dof, others, strict=True)]
             dof = dof.sum(axis=0)
             noise = np.sum(scatter, axis=0) / dof[:, None, None]
-            spectrum = dataclasses.replace(spectrum, noise=noise, line_dof=dof)
+            spectrum = replace(spectrum, noise=noise, line_dof=dof)
         completed.append(spectrum)
     return completed
 
@@ -380,7 +379,7 @@ def _left_out_notes(
         if whole is None or spectrum.noise is None or np.all(acting):
             continue
         mean = layout.padded(number, spectrum.mean, 1)
-        ordered = dataclasses.replace(spectrum, mean=mean, noise=layout.padded(number, spectrum.noise, 2))
+        ordered = replace(spectrum, mean=mean, noise=layout.padded(number, spectrum.noise, 2))
         for output, port in enumerate(layout.outputs):
             size = float(np.sqrt(np.mean(np.abs(mean[lines, len(layout.inputs) + output]) ** 2)))
             for kind, silent in left_out_lines(ordered, acting, whole, output, period).items():
@@ -430,7 +429,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     every = np.ones(first.n_frequency, bool)
     excess = neighbourhood_mean(levels.total**2 - levels.noise**2, every, half_width)
     distortion = np.sqrt(np.maximum(excess, 0.0))
-    return dataclasses.replace(
+    return replace(
         first,
         matrix=levels.gain,
         covariance=(_mean_of(responses, "covariance") + uncorrelated(distortion**2)) / m,

@@ -4,11 +4,10 @@ one.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -216,7 +215,7 @@ def source_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]:
     """What was found in the recordings, with the name of each where there are several."""
     several = len(sources) > 1
     return tuple(
-        dataclasses.replace(finding, message=f"{source.name}: {finding.message}") if several else finding
+        replace(finding, message=f"{source.name}: {finding.message}") if several else finding
         for source in sources
         for finding in source.findings
     )

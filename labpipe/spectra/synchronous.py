@@ -4,9 +4,8 @@ that are fitted and subtracted; beside a periodic excitation to what is left aft
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -352,7 +351,7 @@ def without_shaft(
     lines that it falls on, or that `mask` leaves out.
     """
     remove, masked = settings.remove, masked_bands(sources, settings)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *masked))
+    settings = replace(settings, exclude=(*settings.exclude, *masked))
     if remove is None:
         return list(sources), settings, mask_findings(masked, settings.band)
     resting = [at_rest(source, remove) for source in sources]
@@ -376,7 +375,7 @@ def without_shaft(
             cleaned.append(without.source)
             bands |= dict.fromkeys(without.bands)
             findings.extend(without.findings)
-    settings = dataclasses.replace(settings, exclude=(*settings.exclude, *bands))
+    settings = replace(settings, exclude=(*settings.exclude, *bands))
     return cleaned, settings, (*mask_findings(masked, settings.band), *findings)
 
 

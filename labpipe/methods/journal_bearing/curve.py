@@ -10,8 +10,7 @@ splines, even in the root, so that at zero depth angle and derivative by depth v
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 
@@ -269,7 +268,7 @@ class _Sheet:
     ) -> JournalEquilibrium:
         bearing, weight = self.bearing, float(np.hypot(*self.load))
         force = bearing.viscosity * np.exp(log_sommerfeld) * 6 * np.pi * weight
-        worn = dataclasses.replace(
+        worn = replace(
             bearing,
             viscosity=float(force / bearing.force_scale(self.speed)),
             wear_depth=float(self.root**2 * bearing.clearance),

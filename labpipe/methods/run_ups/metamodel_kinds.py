@@ -11,9 +11,8 @@ and the physical fit, the film's family with the parameters of a joint fit.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -252,7 +251,7 @@ class PhysicalFit:
         return {
             "kind": self.kind,
             **self.extent.to_entries(),
-            "bearing": dataclasses.asdict(self.family.bearing),
+            "bearing": asdict(self.family.bearing),
             "reference": [self.family.load, self.family.speed],
             "values": self.values.tolist(),
             "covariance": self.covariance.tolist(),
