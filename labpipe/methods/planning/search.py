@@ -55,14 +55,13 @@ def candidates(
     A mean square of 1 N^2 costs (1 - a) + a |H u|^2 / stroke^2, a = *displacement_share* [1], *stroke* [m/N]:
     the limit of displacement over that of force. Equation (plan-cost).
     """
-    sensitivity = sensitivities(model, noise, omega)
-    receptance = model.receptance(omega)
     line = np.repeat(np.arange(omega.size), len(directions))
     direction = np.tile(directions, (omega.size, 1))
-    motion = np.einsum("lij,lj->li", receptance[line], direction)
+    motion = np.einsum("lij,lj->li", model.receptance(omega)[line], direction)
     cost = (1 - displacement_share) + displacement_share * np.sum(np.abs(motion) ** 2, axis=1) / stroke**2
     # A mean square of 1 N^2 is an amplitude of sqrt(2) N.
-    information = 2 * vector_information(sensitivity[line], direction) / cost[:, None, None]
+    sensitivity = sensitivities(model, noise, omega[line], direction)
+    information = 2 * vector_information(sensitivity, direction) / cost[:, None, None]
     return Candidates(line, direction, cost, information)
 
 
