@@ -155,7 +155,9 @@ def least_peak_phases(
     for start in begins:
         unknowns = start
         for p in QUICK_NORMS if quick else HALF_NORMS:
-            unknowns = problem.descended(unknowns, p, QUICK_STEPS if quick else STEPS)
+            options = {"maxiter": QUICK_STEPS if quick else STEPS, "ftol": SETTLED}
+            how = {"jac": True, "method": "L-BFGS-B", "options": options}
+            unknowns = scipy.optimize.minimize(problem.norm, unknowns, args=(p,), **how).x
             peak = problem.peak(unknowns)
             if peak < least:
                 best, least = unknowns, peak
@@ -199,10 +201,6 @@ class _Problem:
         np.add.at(differences, self.group, slope[:, 1:])
         slopes = np.concatenate([slope.sum(axis=1), differences.reshape(-1)])
         return float(np.log(largest) + np.log(total) / (2 * p)), slopes
-
-    def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
-        how = {"jac": True, "method": "L-BFGS-B", "options": {"maxiter": steps, "ftol": SETTLED}}
-        return np.asarray(scipy.optimize.minimize(self.norm, unknowns, args=(p,), **how).x)
 
 
 # Motion from rest: samples per period of the highest frequency, exponent by which the slowest has died.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -221,8 +221,8 @@ def _power(pool: Candidates, design: Design, lines: IntArray) -> FloatArray:
 def _look(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
-    entries = {field.name: getattr(source, field.name) for field in fields(Source)}
-    return Candidate(**entries, campaign=campaign(rig, large, wanted.criterion, wanted.goals))
+    told = campaign(rig, large, wanted.criterion, wanted.goals)
+    return Candidate(**vars(source) | {"campaign": told})
 
 
 def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:
