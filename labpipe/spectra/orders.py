@@ -82,9 +82,10 @@ class OrderTrack:
 def track_order(
     source: SampleSource, lines: ShaftLines, *, order: float = 1.0, revolutions: int = 20
 ) -> OrderTrack:
-    """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics.
-    *lines* gives the shaft's speed or tacho, and with `harmonics` the multiples fitted together with the
-    order. With the noise variance s^2 over n samples E|dX|^2 = 4 s^2 / n. Delays, that of the tacho too, and
+    """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics,
+    which change linearly in time over FEWEST_TURNS or more. *lines* gives the shaft's speed or tacho, and
+    with `harmonics` the multiples fitted together with the order. With the noise variance s^2 over n samples
+    E|dX|^2 = 4 s^2 / n, and more over few turns. Delays, that of the tacho too, and
     frequency responses of the channels are taken out. DataError without a complete segment, without two
     samples for a turn of the order, or outside a channel's response. Equation (run-order).
     """
@@ -151,6 +152,8 @@ def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
 
 
 Segment = tuple[FloatArray, FloatArray, FloatArray]
+# Of the lowest order in a segment [rad]: over fewer a change is hardly told from the phasors themselves.
+FEWEST_TURNS = 2 * np.pi * 4.9
 
 
 def _segments(source: SampleSource, motion: ShaftMotion, revolutions: int) -> Iterator[Segment]:
@@ -194,13 +197,18 @@ def _fit(
     orders = orders[(orders * step < np.pi) | (orders == order)]
     turns = np.exp(1j * angle[:, None] * orders)
     columns = np.column_stack([np.ones(time.size), turns.real, -turns.imag])
-    solution, *_ = np.linalg.lstsq(columns, samples[:, outputs])
+    middle = float(time.mean())
+    if (angle[-1] - angle[0]) * orders[0] >= FEWEST_TURNS and time.size > 4 * columns.shape[1]:
+        columns = np.hstack([columns, columns * ((time - middle) / np.ptp(time))[:, None]])
+    inverse = np.linalg.pinv(columns)
+    solution = inverse @ samples[:, outputs]
     residual = samples[:, outputs] - columns @ solution
-    amplitude = solution[1 : orders.size + 1] + 1j * solution[orders.size + 1 :]
+    row = 1 + int(np.searchsorted(orders, order))
+    parts = [row, row + orders.size]
     noise = np.sum(residual**2, axis=0) / max(time.size - columns.shape[1], 1)
     speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
-    row = int(np.searchsorted(orders, order))
-    return float(time.mean()), float(speed), amplitude[row], 4 * noise / time.size, solution[0]
+    amplitude = solution[parts[0]] + 1j * solution[parts[1]]
+    return middle, float(speed), amplitude, np.sum(inverse[parts] ** 2) * noise, solution[0]
 
 
 MOST_BLOCKS = 40

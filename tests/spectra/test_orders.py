@@ -109,6 +109,17 @@ def test_the_variance_is_that_of_repeats(rng: np.random.Generator) -> None:
     )
 
 
+def test_a_change_within_segments_is_no_noise(rng: np.random.Generator) -> None:
+    # The phasor grows linearly, by a tenth in a segment: its errors are those of the noise, 4 s^2 / n.
+    time = np.arange(60_000) / RATE
+    growing = (1 + 0.4j) * time
+    x = np.real(growing * np.exp(80j * np.pi * time)) + 0.01 * rng.normal(size=time.size)
+    track = track_order(run(40 * time, x, x), ShaftLines(speed=40.0), revolutions=10)
+    z = (track.amplitude[:, 0] - (1 + 0.4j) * track.time) / np.sqrt(track.variance[:, 0])
+    assert np.mean(track.variance[:, 0]) == pytest.approx(4e-4 / 500, rel=0.02)
+    assert np.mean(np.abs(z) ** 2) == pytest.approx(1.0, abs=0.25)
+
+
 def test_block_borders_do_not_matter() -> None:
     # 70,000 samples are read in two blocks; every stretch is whole and none is lost.
     revolutions = 17.0 * np.arange(70_000) / RATE

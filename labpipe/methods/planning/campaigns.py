@@ -155,7 +155,9 @@ def least_peak_phases(
     for start in begins:
         unknowns = start
         for p in QUICK_NORMS if quick else HALF_NORMS:
-            unknowns = problem.descended(unknowns, p, QUICK_STEPS if quick else STEPS)
+            options = {"maxiter": QUICK_STEPS if quick else STEPS, "ftol": SETTLED}
+            how = {"jac": True, "method": "L-BFGS-B", "options": options}
+            unknowns = scipy.optimize.minimize(problem.norm, unknowns, args=(p,), **how).x
             peak = problem.peak(unknowns)
             if peak < least:
                 best, least = unknowns, peak
@@ -199,10 +201,6 @@ class _Problem:
         np.add.at(differences, self.group, slope[:, 1:])
         slopes = np.concatenate([slope.sum(axis=1), differences.reshape(-1)])
         return float(np.log(largest) + np.log(total) / (2 * p)), slopes
-
-    def descended(self, unknowns: FloatArray, p: int, steps: int) -> FloatArray:
-        how = {"jac": True, "method": "L-BFGS-B", "options": {"maxiter": steps, "ftol": SETTLED}}
-        return np.asarray(scipy.optimize.minimize(self.norm, unknowns, args=(p,), **how).x)
 
 
 # Motion from rest: samples per period of the highest frequency, exponent by which the slowest has died.
@@ -284,9 +282,9 @@ class Rig:
 
     def rate(self, test: Multisines) -> FloatArray:
         """Information per second, (n_coefficient, n_coefficient) [1/s], of relative coefficients."""
-        sensitivity = sensitivities(self.model, self.noise, self.omega(test))
-        information = vector_information(sensitivity, test.forces @ self.directions)
-        return np.asarray(information.sum(axis=0))
+        forces = test.forces @ self.directions
+        sensitivity = sensitivities(self.model, self.noise, self.omega(test), forces)
+        return np.asarray(vector_information(sensitivity, forces).sum(axis=0))
 
 
 def running_shakers(test: Multisines) -> BoolArray:
@@ -397,12 +395,13 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
     shifts, begins = [], []
     for test, time in zip(timed.tests, seconds, strict=True):
         omega, motion, unit = rig.omega(test), rig.motion(test), np.eye(n_state)
+        forces = test.forces @ rig.directions
         begins.append(-np.concatenate([motion.sum(axis=0).real, (1j * omega @ motion).real]))
         left = np.linalg.solve(free - 1j * omega[:, None, None] * unit, expm(free * time) - unit)
         forced = np.linalg.solve(rig.model.receptance(omega), 2 / time * left[:, :n_dof])
-        whitened = residual_whitener(rig.model, rig.noise, omega) @ forced
-        sensitivity = sensitivities(rig.model, rig.noise, omega)
-        responses = np.einsum("lnij,lj->lni", sensitivity, test.forces @ rig.directions)
+        whitened = residual_whitener(rig.model, rig.noise, omega, forces) @ forced
+        sensitivity = sensitivities(rig.model, rig.noise, omega, forces)
+        responses = np.einsum("lnij,lj->lni", sensitivity, forces)
         change = np.einsum("lni,lis->ns", responses.conj(), whitened).real
         shifts.append(-time * np.linalg.solve(total, change))
     return Settling(np.array(shifts), np.array(begins), expm(free / rig.spacing))

@@ -1,11 +1,6 @@
 """Optimum designs: criteria, shares of the power on candidates, and the certificate that none is better.
 
-With d_a = tr(W I_a) of a candidate of unit cost, by the equivalence theorem (Kiefer and Wolfowitz 1960;
-Fedorov 1972, Theory of Optimal Experiments): D-optimality with W = I^-1 has efficiency at least n / max d; a
-weighted sum f = sum q_i v_i of the variances with W = I^-1 diag(q) I^-1 at least f / max d; and the largest
-variance, for any q >= 0 with lambda_i = q_i v_i, at least (sum lambda)^2 / (max d sum q) over it. Variances
-are those of single coefficients or of combinations r of them: v = r I^-1 r^T, with W = sum q_i I^-1 r_i^T r_i
-I^-1.
+By the equivalence theorem: Kiefer and Wolfowitz 1960; Fedorov 1972, Theory of Optimal Experiments.
 """
 
 from __future__ import annotations

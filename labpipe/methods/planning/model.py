@@ -174,12 +174,13 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
 @dataclass(frozen=True)
 class Noise:
     """One-sided densities of the sensors' white noise: force [N/sqrt(Hz)], displacement [m/sqrt(Hz)],
-    acceleration [m/(s^2.sqrt(Hz))].
+    acceleration [m/(s^2.sqrt(Hz))]. one_force: only the force that acts is recorded.
     """
 
     force: float = 0.0
     displacement: float = 0.0
     acceleration: float = 0.0
+    one_force: bool = False
 
     def __post_init__(self) -> None:
         if min(self.force, self.displacement, self.acceleration) < 0:
@@ -195,23 +196,33 @@ class Noise:
         return cls(force * factor, displacement * factor, acceleration * factor)
 
 
-def sensitivities(model: PlannedModel, noise: Noise, omega: FloatArray) -> ComplexArray:
+def sensitivities(
+    model: PlannedModel, noise: Noise, omega: FloatArray, forces: ComplexArray | None = None
+) -> ComplexArray:
     """L^-1 E_i H theta_i with L L^H = Lambda, (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)], at omega
-    (n_line,) [rad/s].
+    (n_line,) [rad/s]; *forces* as of `residual_whitener`.
 
     A relative change of coefficient i changes the residual of a force u by that times u, in units of the
     residual's noise. Equation (plan-sensitivity).
     """
     changed = model.elements_at(omega) @ model.receptance(omega)[:, None] * model.scales[:, None, None]
-    return np.asarray(residual_whitener(model, noise, omega)[:, None] @ changed)
+    return np.asarray(residual_whitener(model, noise, omega, forces)[:, None] @ changed)
 
 
-def residual_whitener(model: PlannedModel, noise: Noise, omega: FloatArray) -> ComplexArray:
-    """L^-1 of the noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega [rad/s]."""
-    stiffness = model.stiffness(omega)
-    plain = noise.force**2 + (model.stator_mass * noise.acceleration) ** 2
+def residual_whitener(
+    model: PlannedModel, noise: Noise, omega: FloatArray, forces: ComplexArray | None = None
+) -> ComplexArray:
+    """L^-1 of the noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega [rad/s]. Where
+    one force alone is recorded, its noise is along *forces* (n_line, n_dof) [N], unless all other is zero.
+    """
+    stiffness, unit = model.stiffness(omega), np.eye(model.n_dof)
+    recorded = unit
+    if noise.one_force and forces is not None and noise.displacement > 0:
+        along = forces / np.linalg.norm(forces, axis=1, keepdims=True)
+        recorded = along[:, :, None] * along[:, None].conj()
     moved = noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(-1, -2)
-    density = plain * np.eye(model.n_dof) + moved
+    plain = noise.force**2 * recorded + (model.stator_mass * noise.acceleration) ** 2 * unit
+    density = plain + moved
     return np.asarray(np.linalg.inv(np.linalg.cholesky(density)))
 
 

@@ -171,14 +171,19 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
 
 
 def _scheme(settings: PlanSettings) -> str:
-    channels = () if settings.sensors is None else settings.sensors.channels
-    forces = [channel for channel in channels if channel.channel.role == "input"]
-    if len(forces) != 1 or len(settings.shakers) == 1 or len(settings.kind.axes) == 1:
+    if len(settings.shakers) == 1 or len(settings.kind.axes) == 1 or not _one_force(settings):
         return settings.scheme
     if settings.scheme not in (BEST, campaigns.ONE_BY_ONE):
         hint = f"scheme: {campaigns.ONE_BY_ONE}, or a force for every shaker"
         raise SettingError("scheme", "the rig has one force", hint)
     return campaigns.ONE_BY_ONE
+
+
+def _one_force(settings: PlanSettings) -> bool:
+    """Whether a test records one force, by the channels of the rig, or else by the shakers."""
+    if settings.sensors is None:
+        return len(settings.shakers) == 1
+    return sum(channel.channel.role == "input" for channel in settings.sensors.channels) == 1
 
 
 def _with_budget(
@@ -273,6 +278,7 @@ def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
     assert stated is not None
     sizes = stated.force, stated.displacement, stated.acceleration
     noise = Noise(*sizes) if settings.noise_density else Noise.of_samples(*sizes, settings.sample_rate)
+    noise = replace(noise, one_force=_one_force(settings))
     limits = campaigns.Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
     return campaigns.Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
 

@@ -1,9 +1,6 @@
 """Which runs, and how many of each: exact designs of operating conditions within a time.
 
-A run of condition a tells I_a of parameters in units of what is wanted, beside I_0 that is known before.
-Shares of the time are the continuous optimum of `designs`, with I_0 inside every candidate, so that its
-certificate holds for runs as well: the counts are rounded down, filled up and exchanged run by run (Fedorov
-1972, Theory of Optimal Experiments, sec. 3.2), and held against that bound.
+V. V. Fedorov 1972, Theory of Optimal Experiments, sec. 3.2: exchange of single runs.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,14 +55,13 @@ def candidates(
     A mean square of 1 N^2 costs (1 - a) + a |H u|^2 / stroke^2, a = *displacement_share* [1], *stroke* [m/N]:
     the limit of displacement over that of force. Equation (plan-cost).
     """
-    sensitivity = sensitivities(model, noise, omega)
-    receptance = model.receptance(omega)
     line = np.repeat(np.arange(omega.size), len(directions))
     direction = np.tile(directions, (omega.size, 1))
-    motion = np.einsum("lij,lj->li", receptance[line], direction)
+    motion = np.einsum("lij,lj->li", model.receptance(omega)[line], direction)
     cost = (1 - displacement_share) + displacement_share * np.sum(np.abs(motion) ** 2, axis=1) / stroke**2
     # A mean square of 1 N^2 is an amplitude of sqrt(2) N.
-    information = 2 * vector_information(sensitivity[line], direction) / cost[:, None, None]
+    sensitivity = sensitivities(model, noise, omega[line], direction)
+    information = 2 * vector_information(sensitivity, direction) / cost[:, None, None]
     return Candidates(line, direction, cost, information)
 
 
@@ -222,8 +221,8 @@ def _power(pool: Candidates, design: Design, lines: IntArray) -> FloatArray:
 def _look(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
     large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
-    entries = {field.name: getattr(source, field.name) for field in fields(Source)}
-    return Candidate(**entries, campaign=campaign(rig, large, wanted.criterion, wanted.goals))
+    told = campaign(rig, large, wanted.criterion, wanted.goals)
+    return Candidate(**vars(source) | {"campaign": told})
 
 
 def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:

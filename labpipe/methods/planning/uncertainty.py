@@ -4,14 +4,6 @@ systematic sources add to its noise.
 Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods
 these have the mean zero and are orthogonal to each other, so that the average is what the rig does, and its
 covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor.
-
-The changes of the coefficients by one standard uncertainty of every source, c, come from the budget of the
-fit that will evaluate the test. Where an earlier result counts beside it, with information I_0 and changes
-c_0 of its own, they are (I_0 + I)^-1 (I_0 c_0 + I c).
-
-Where it is to be combined with the new test, its information V^-1 adds to that of the new one: the errors of
-both are those of (V^-1 + I)^-1. And the new test runs on the rig as it is, not as it was expected: its errors
-are those at coefficients drawn from V about the expected ones, the planned forces being applied all the same.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ forms.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,9 @@ from labpipe.methods.planning.model import (
 from tests.methods.planning.rigs import RIGS
 
 
-def _brute_force(model: PlannedModel, noise: Noise, omega: float, force: np.ndarray) -> np.ndarray:
+def _brute_force(
+    model: PlannedModel, noise: Noise, omega: float, force: np.ndarray, idle: float = 1.0
+) -> np.ndarray:
     """Information per second of relative coefficients, true forces and accelerations unknown, by differences
     and a Schur complement.
 
@@ -37,6 +41,7 @@ def _brute_force(model: PlannedModel, noise: Noise, omega: float, force: np.ndar
         return np.concatenate([whole.real, whole.imag])
 
     densities = np.repeat([noise.force, noise.displacement, noise.acceleration][: 3 if accelerated else 2], n)
+    densities[:n][force == 0] *= idle
     # An amplitude estimated in T seconds has the variance 2 S^2 / T, half of it in each part.
     deviation = np.tile(densities, 2)
     moved = model.receptance(frequency)[0] @ force
@@ -66,6 +71,17 @@ def test_information_is_that_of_errors_in_variables(name: str) -> None:
         expected = _brute_force(model, noise, omega[number], forces[number])
         size = np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected)))
         np.testing.assert_allclose(found[number] / size, expected / size, atol=2e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_force_that_is_not_recorded_has_no_noise(axis: int) -> None:
+    # One force that is moved from x to y: the other is known to be zero.
+    model, noise, lines = RIGS["rotor"]()
+    omega, force = 2 * np.pi * lines[[3]], np.eye(2, dtype=complex)[[axis]]
+    found = vector_information(sensitivities(model, replace(noise, one_force=True), omega, force), force)
+    expected = _brute_force(model, noise, omega[0], force[0], idle=1e-4)
+    size = np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected)))
+    np.testing.assert_allclose(found[0] / size, expected / size, atol=2e-6)
 
 
 def test_stiffness_of_a_spring_alone() -> None:
