@@ -114,14 +114,16 @@ def test_a_second_run_finds_everything_fresh_and_another_start_does_not(lab: Pat
 
 
 def test_decays_are_compared_over_their_conditions(lab: Path, labpipe) -> None:
-    """The same recording under two preloads: no trend; cover and provenance name the conditions."""
-    (lab / "again.csv").write_text((lab / "ring.csv").read_text())
+    """One decay under three preloads, each time a row shorter; cover and provenance name the conditions."""
+    rows = (lab / "ring.csv").read_text().splitlines()
+    for n, name in enumerate(("again", "anew"), 1):
+        (lab / f"{name}.csv").write_text("\n".join(rows[:-n]) + "\n")
     tests = "tests:\n" + "".join(
         f"  - {{name: {name}, recordings: {file}, conditions: {{preload: {force} N}}}}\n"
         for name, file, force in (
             ("low", "ring.csv", 100),
             ("mid", "again.csv", 150),
-            ("high", "ring.csv", 200),
+            ("high", "anew.csv", 200),
         )
     )
     trend = (
@@ -136,7 +138,7 @@ def test_decays_are_compared_over_their_conditions(lab: Path, labpipe) -> None:
     result = json.loads((lab / "out/identification.json").read_text())
     assert len(result["fits"]) == 3 and result["comparisons"][0]["name"] == "trend"
     facts = dict(cover_facts([read_identification(lab / "out/identification.json")]))
-    assert facts["tests"] == "3 measured, from 1 source file(s)" and facts["preload"] == "100 N, 150 N, 200 N"
+    assert facts["tests"] == "3 measured, from 3 source file(s)" and facts["preload"] == "100 N, 150 N, 200 N"
     assert "| mid | preload | 150 N |" in (lab / "out/report.md").read_text()
 
 
