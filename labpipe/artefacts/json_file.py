@@ -112,8 +112,8 @@ def _dataclass(entry: Any, kind: Any) -> Any:
             values[field.name] = field.metadata["null"]
         else:
             values[field.name] = record_of(value, hints[field.name])
-        if field.name.endswith("unit") and value:
-            # UnitError, a ValueError, for one that nobody could show.
+        if field.name.endswith("unit") and value and kind.__module__.startswith("labpipe."):
+            # UnitError, a ValueError, for one that nobody could show; plug-ins may have units of their own.
             parse_unit(value)
     return kind(**values)
 
