@@ -452,12 +452,13 @@ def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
         last, band = f"wear-{run.name}", f"{point.band[0]!r}-{point.band[1]!r} Hz"
         fits[last] = {"model": settings.model, "test": run.name, "band": band, "wear": wear}
     ends = [end for run in plan.runs for end in choice.points[run.name].band]
-    frf = {
-        "excitation": "random",
-        "block": f"{settings.block!r} s",
-        "band": f"{min(ends)!r}-{max(ends)!r} Hz",
-        "exclude": [f"{max(low, 0.0)!r}-{high!r} Hz" for low, high in choice.testing.exclude],
-    }
+    least, most = min(ends), max(ends)
+    frf: dict[str, Any] = {
+        "excitation": "random", "block": f"{settings.block!r} s", "band": f"{least!r}-{most!r} Hz"
+    }  # fmt: skip
+    gaps = [(low, high) for low, high in choice.testing.exclude if low <= most and high >= least]
+    if gaps:
+        frf["exclude"] = [f"{max(low, 0.0)!r}-{high!r} Hz" for low, high in gaps]
     return {"title": plan.title, "rig": RIG, "tests": tests, "frf": frf, "identify": fits}
 
 
