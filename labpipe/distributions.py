@@ -51,7 +51,7 @@ def coverage_factor(coverage: float, dof: float) -> float:
     return student_quantile(p, dof) if math.isfinite(dof) else normal_quantile(p)
 
 
-def other_coverage(factor: float, coverage: float) -> float:
+def factor_at_coverage(factor: float, coverage: float) -> float:
     """The factor for a *coverage* [1] by the degrees of freedom at which that for 95 % is *factor*."""
     least = normal_quantile(0.975)
     if factor <= (1 + 1e-9) * least:

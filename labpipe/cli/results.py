@@ -16,7 +16,7 @@ from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import chance_text, difference_in, shown_unit, unit_label, with_error, written
 from labpipe.errors import ConfigError, DataError, cut
 from labpipe.project import catalogue_search
-from labpipe.project.catalogue import BESIDE, DATE, Filter, ResultRow, ValueRow, name_of
+from labpipe.project.catalogue import DATE, NOT_COLUMNS, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, listed_parameters
@@ -59,7 +59,7 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
     """A row with one column per condition, as written in the pipeline."""
     entry = {field.name: getattr(row, field.name) for field in fields(row)}
     conditions = entry.get("conditions", {})
-    for name in BESIDE:
+    for name in NOT_COLUMNS:
         entry.pop(name, None)
     return {**entry, **{f"condition:{name}": text for name, text in conditions.items()}}
 

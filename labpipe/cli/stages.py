@@ -15,7 +15,7 @@ from labpipe.cli.output import echo, echo_findings
 from labpipe.cli.terminal import echo_identification
 from labpipe.errors import ConfigError
 from labpipe.project.exports import write_study_csv
-from labpipe.project.identify import Measured, identify_stage
+from labpipe.project.identify import MeasuredTests, identify_stage
 from labpipe.project.ingest import ingest_all
 from labpipe.project.measured import MeasuredTest, load_measured
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
@@ -159,7 +159,7 @@ def _identify_files(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFo
         raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
     inputs = tuple(source_ref(path, path.parent) for path in frfs)
     sources = (*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files))
-    return identify_stage(pipeline, Measured(tuple(tests), sources, inputs=inputs), folder)
+    return identify_stage(pipeline, MeasuredTests(tuple(tests), sources, inputs=inputs), folder)
 
 
 @click.command()
@@ -184,7 +184,7 @@ def calibrate(
     lines = replace(pipeline, tests=(), sections={"calibrate": calibrations}, rules=rules)
     sources = tuple(source_ref(calibration.path, pipeline.folder) for calibration in calibrations)
     with output_folder(output) as folder:
-        identification = identify_stage(lines, Measured(sources=sources), folder)
+        identification = identify_stage(lines, MeasuredTests(sources=sources), folder)
         outdate_reports(folder, ())
     echo_identification(identification, quiet)
     return 0 if identification.accepted else 1
@@ -215,7 +215,7 @@ def study(
     sections = {"identify": pipeline.fits, STUDY: pipeline.sections[STUDY]}
     alone = replace(pipeline, tests=(), rules=rules, sections=sections)
     with output_folder(output) as folder:
-        identification = identify_stage(alone, Measured(), folder, options.teller(quiet, verbose), jobs)
+        identification = identify_stage(alone, MeasuredTests(), folder, options.teller(quiet, verbose), jobs)
         write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
         outdate_reports(folder, pipeline.report.formats)
     write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))

@@ -18,7 +18,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import amount_text
-from labpipe.distributions import coverage_factor, other_coverage
+from labpipe.distributions import coverage_factor, factor_at_coverage
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.derived import DIVIDED, BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
@@ -226,7 +226,7 @@ def _expand(parameter: Parameter, coverage: float) -> Parameter:
     error, ends = parameter.full_error, parameter.ci95
     if parameter.expanded is not None or ends is None or not error:
         return parameter
-    factor = other_coverage((ends[1] - ends[0]) / (2 * error), coverage)
+    factor = factor_at_coverage((ends[1] - ends[0]) / (2 * error), coverage)
     return replace(parameter, expanded=factor * error, coverage_factor=factor)
 
 

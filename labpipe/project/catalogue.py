@@ -319,8 +319,8 @@ class ValueRow:
 
 
 # What a value has beside its columns.
-BESIDE = ("conditions", "amounts", "digests")
-VALUE_COLUMNS = tuple(field.name for field in fields(ValueRow) if field.name not in BESIDE)
+NOT_COLUMNS = ("conditions", "amounts", "digests")
+VALUE_COLUMNS = tuple(field.name for field in fields(ValueRow) if field.name not in NOT_COLUMNS)
 
 # Columns of which no result lacks the number, though it may not be one.
 NUMBERS = ("value", "low_hz", "high_hz")

@@ -29,7 +29,7 @@ BASIS = ("sources", "inputs", "settings", "rig", "version", "code")
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredTests:
     """What came of all *tests*, and the files behind it: *digests* of each test, *sources* of all;
     *fits* made on the way, tests that *failed*. inputs: digests of what was measured, by which a change of a
     rig or recording reaches the result.
@@ -45,7 +45,7 @@ class Measured:
 
 def identify_stage(
     pipeline: Pipeline,
-    measured: Measured,
+    measured: MeasuredTests,
     output: OutputFolder,
     tell: Callable[[str], None] = lambda _: None,
     jobs: int = 0,

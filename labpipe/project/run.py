@@ -13,7 +13,7 @@ from labpipe.artefacts.writing import OutputFolder, existing_home, staging_folde
 from labpipe.errors import ConfigError, DataError
 from labpipe.project import one_test
 from labpipe.project.executors import Execute, serially
-from labpipe.project.identify import Measured, identify_stage
+from labpipe.project.identify import MeasuredTests, identify_stage
 from labpipe.project.ingest import unique_names
 from labpipe.project.many_tests import Gathered, advice, identify, keeps_dataset
 from labpipe.project.measured import file_stems
@@ -85,7 +85,7 @@ def _run_many(
 
 def measure_tests(
     pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str] = ()
-) -> Measured:
+) -> MeasuredTests:
     """ingest and frf of every test, ready responses as they are; of several tests also the named *fits*."""
     with staging_folder(existing_home(output.target)) as scratch:
         of_tests = fits if len(pipeline.tests) >= MANY else ()
@@ -112,7 +112,7 @@ def measure_tests(
     inputs = tuple(reference for job in finished for reference in one_test.measured_refs(job, output))
     digests = {test: frozenset(source.sha256 for source in outcome.sources) for test, outcome in done.items()}
     fits_before = one_test.finished_fits(finished, output)
-    return Measured(tuple(tests), tuple(sources), digests, fits_before, failed, inputs)
+    return MeasuredTests(tuple(tests), tuple(sources), digests, fits_before, failed, inputs)
 
 
 def independent_fits(pipeline: Pipeline) -> list[str]:

@@ -453,9 +453,8 @@ def pipeline_entries(plan: RunPlan, choice: WearTests) -> dict[str, Any]:
         fits[last] = {"model": settings.model, "test": run.name, "band": band, "wear": wear}
     ends = [end for run in plan.runs for end in choice.points[run.name].band]
     least, most = min(ends), max(ends)
-    frf: dict[str, Any] = {
-        "excitation": "random", "block": f"{settings.block!r} s", "band": f"{least!r}-{most!r} Hz"
-    }  # fmt: skip
+    band = f"{least!r}-{most!r} Hz"
+    frf: dict[str, Any] = {"excitation": "random", "block": f"{settings.block!r} s", "band": band}
     gaps = [(low, high) for low, high in choice.testing.exclude if low <= most and high >= least]
     if gaps:
         frf["exclude"] = [f"{max(low, 0.0)!r}-{high!r} Hz" for low, high in gaps]
