@@ -347,7 +347,8 @@ def covariance_findings(response: FrequencyResponse) -> list[Finding]:
     message = (
         "the FRF has no covariance (imported without it, or of a single average), so chi-square could not be "
         "checked: a high G.o.F alone does not show that the model is right, only the structure of the "
-        "residual does. Give the variance of the FRF, or measure several averages"
+        "residual does. Give the variance of the FRF, or its coherence and number of `averages`, or measure "
+        "several averages"
     )
     return [Finding("no-covariance", message)]
 

@@ -39,6 +39,7 @@ class Measured:
     complex c shared_noise is the upper bound shared_power; where noise cancels it is 1, since no estimate is
     a plain sum. *line_noise*: that correlation, None for independent lines; *noise*: of lines with gains.
 
+    *derivatives* in time of the measured form, in which unknown noise counts as even along the lines.
     *offset* (n_line,) [m/N]: what was taken off the measured form, on which a gain's error acts too; None for
     0. *noise_of_channels* (n_line, n_input + n_output) [1]: relative variance of every channel, forces first,
     where the covariance follows from it by the measured FRF; None else. *blocks* of random data and their
@@ -58,6 +59,7 @@ class Measured:
     noise: SharedNoise | None = None
     line_noise: SharedNoise | None = None
     leakage: Leakage | None = None
+    derivatives: int = 0
     offset: FloatArray | None = None
     noise_of_channels: FloatArray | None = None
     blocks: Blocks | None = None
@@ -162,6 +164,7 @@ def measured_part(
         leakage=_leakage(response, frequency),
         noise=None if gains is None else line_noise,
         line_noise=line_noise,
+        derivatives=_derivatives(response.form),
         offset=view.offset / np.real(factor) if view.offset else None,
         noise_of_channels=_noise_of_channels(response, rows, columns, lines),
         change=None if response.change is None else chosen(response.change) / factor[:, None, None],
@@ -198,10 +201,14 @@ def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | No
     if blocks is None or not has_kernel(blocks):
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
-    # Of a form beyond the receptance of its model: T = 1 + w^2 H of a transmissibility.
-    derivatives = 2 if response.form == TRANSMISSIBILITY else DERIVATIVES[response.form]
     correlation = np.array(response.line_correlation, float)
-    return Leakage(kernel_of(blocks), numbers, correlation, derivatives + blocks.derivatives)
+    derivatives = _derivatives(response.form) + blocks.derivatives
+    return Leakage(kernel_of(blocks), numbers, correlation, derivatives)
+
+
+def _derivatives(form: str) -> int:
+    """Of a form beyond the receptance of its model: T = 1 + w^2 H of a transmissibility."""
+    return 2 if form == TRANSMISSIBILITY else DERIVATIVES[form]
 
 
 def _share(numbers: IntArray, correlation: FloatArray) -> float:

@@ -6,6 +6,7 @@ known, else by its structure. Where it is not noise, the model error stands in v
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,9 +21,9 @@ from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel
-from labpipe.estimation.model_error import ModelError, model_error
+from labpipe.estimation.model_error import MOVED_FREQUENCY, SECOND_MODE, ModelError, model_error
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.residual import Null, Structure, line_scatter, residual_structure
+from labpipe.estimation.residual import GROWING, LOCAL, Null, Structure, line_scatter, residual_structure
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student_limit
 from labpipe.estimation.weights import NOISE_FREE, Weights, has_noise
@@ -38,6 +39,9 @@ BIASED = 4.0
 # many hertz to either side, and as a multiple of the mains' frequency [Hz].
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
+# What a missing or moved mode leaves in a few lines is no noise, though noise of their power explains it.
+OF_A_MODE = (MOVED_FREQUENCY, SECOND_MODE)
+WEIGH = "Measure several averages, or give their number and the coherence, so that lines count by their noise"
 RICHER = "Use a richer model, or narrow the band"
 # Where nothing could tell whether a residual is noise.
 NOT_JUDGED = Finding(
@@ -112,7 +116,8 @@ class _Judge:
         self, problem: OutputError[ReceptanceModel], values: FloatArray, null: Null
     ) -> Structure | None:
         """The structure of the residual at *values* (n_parameter,) [parameter units] against noise."""
-        size = np.abs(self.measured.matrix).reshape(self.measured.omega.size, -1)
+        form = self.measured.omega[:, None] ** self.measured.derivatives
+        size = form * np.abs(self.measured.matrix).reshape(form.size, -1)
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         if self.stated is not None:
             # What stated numbers change is no structure of a wrong model, of whatever size.
@@ -120,11 +125,11 @@ class _Judge:
             residual = residual - jacobian @ (jacobian.T @ residual)
         return residual_structure(residual, jacobian, size, null)
 
-    def uneven(self, best: _Minimum) -> bool:
-        """True where noise that grows with the response explains the residual of unknown noise."""
+    def explains(self, best: _Minimum, power: str) -> bool:
+        """True where noise of this *power* along the lines explains the residual of unknown noise."""
         if best.structure is None:
             return False
-        null = Null(self.measured.line_noise, uneven=True, n_draw=FEW_DRAWS)
+        null = Null(self.measured.line_noise, power, FEW_DRAWS)
         structure = self.structure(best.problem, best.values, null)
         return structure is not None and structure.p_value >= MISMATCH_P
 
@@ -164,8 +169,10 @@ def judge(
         return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, estimate.gof)
     if minimum.p_value >= MISMATCH_P:
         return _by_bias(judged, minimum)
-    if judged.uneven(minimum):
-        return _of_uneven_noise(judged, minimum)
+    if judged.explains(minimum, GROWING):
+        return _with_model_error(judged, minimum, OF_A_MODE) or _of_uneven_noise(judged, minimum, GROWING)
+    if judged.explains(minimum, LOCAL):
+        return _of_uneven_noise(judged, minimum, LOCAL)
     return (
         _of_one_line(judged, minimum)
         or _with_model_error(judged, minimum)
@@ -204,7 +211,7 @@ def by_lines(case: Case) -> Estimate:
     return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
 
 
-def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
+def _of_uneven_noise(judged: _Judge, best: _Minimum, power: str) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
     jacobian, residual = best.problem.jacobian(best.values), best.problem.residual(best.values)
@@ -212,10 +219,13 @@ def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
     covariance = _with_distance(_not_below(covariance, estimate.covariance), best.values - estimate.values)
+    growth = f"{_growth(estimate, covariance)} since they come from the scatter of every line by itself"
+    if power == LOCAL:
+        text = f"the noise, which is not known, differs along the band: that explains the residual. {growth}"
+        return Judgement((Finding("uneven-noise", f"{text}. {WEIGH}"),), covariance)
     text = (
         f"{_wording(best)}; noise that grows with the response explains it, as from gains that scatter from "
-        f"line to line. {_growth(estimate, covariance)} since they come from the scatter of "
-        "every line by itself"
+        f"line to line. {growth}"
     )
     cure = "Look for a gain that is not steady, or a response that is not linear"
     return Judgement(judged.finding(text, cure), covariance)
@@ -254,9 +264,10 @@ def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
     return Judgement(judged.finding(text, remedy), wide)
 
 
-def _with_model_error(judged: _Judge, best: _Minimum) -> Judgement | None:
+def _with_model_error(judged: _Judge, best: _Minimum, causes: Sequence[str] = ()) -> Judgement | None:
+    """None where the evidence for *causes* is less than for all others."""
     error = model_error(judged.measured, judged.model, best.values, judged.settings)
-    if error is None:
+    if error is None or (causes and sum(error.discrepancy.shares.get(cause, 0.0) for cause in causes) < 0.5):
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
     return _stated(judged, best, error, "Values and intervals", factor)
@@ -289,10 +300,10 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
         return best.problem.weights
     measured = judged.measured
     residual = measured.matrix - best.problem.model.receptance(best.values, measured.omega)
-    scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0).ravel() / 6
-    if not np.all(scatter > 0):
-        return None
-    return np.broadcast_to(1 / np.sqrt(scatter), (measured.omega.size, scatter.size)).astype(np.complex128)
+    form = measured.omega[:, None] ** measured.derivatives
+    residual = form * residual.reshape(form.size, -1)
+    scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0) / 6
+    return (form / np.sqrt(scatter)).astype(np.complex128) if np.all(scatter > 0) else None
 
 
 def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:

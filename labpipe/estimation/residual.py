@@ -112,14 +112,20 @@ class Structure:
     said: str
 
 
+# Power of noise along the lines: one for all, a + b |H|^2, or that between neighbours of the residual, a mean
+# of this part of the lines.
+EVEN, GROWING, LOCAL = "even", "growing", "local"
+NEIGHBOURHOOD = 0.1
+
+
 @dataclass(frozen=True)
 class Null:
-    """The noise that a residual is held against: *shared* from line to line, None for independent lines;
-    *uneven*: of the power a + b |H|^2, a and b from the residual, else even. *n_draw*: most draws.
+    """The noise that a residual is held against: *shared* from line to line, None for independent lines; of
+    a *power* along them. *n_draw*: most draws.
     """
 
     shared: SharedNoise | None = None
-    uneven: bool = False
+    power: str = EVEN
     n_draw: int = DRAWS
 
 
@@ -134,7 +140,7 @@ def residual_structure(
     if n_line <= LAGS + DEGREE + 1:
         return None
     errors = complex_rows(residual, n_line)
-    levels = _levels(errors, size if null.uneven else None)
+    levels = _levels(errors, size, null.power)
     if np.any(levels == 0):
         return None
     n_draw = int(np.clip(VALUES // errors.size, FEWEST_DRAWS, null.n_draw))
@@ -151,12 +157,21 @@ def residual_structure(
     return _least_p(observed, _statistics(complex_rows(noise, n_line), size, smooth))
 
 
-def _levels(errors: ComplexArray, size: FloatArray | None) -> FloatArray:
-    """Root of the power along the lines (n_line, n_element) [1]: the mean, or a + b *size*^2, both >= 0."""
+def _levels(errors: ComplexArray, size: FloatArray, kind: str) -> FloatArray:
+    """Root of the power along the lines (n_line, n_element) [1]: the mean, a + b *size*^2, both >= 0, or the
+    local mean of second differences.
+    """
     power = np.abs(errors) ** 2
     mean = np.mean(power, axis=0)
-    if size is None:
+    if kind == EVEN:
         return np.broadcast_to(np.sqrt(mean), power.shape)
+    if kind == LOCAL:
+        second = np.abs(np.diff(errors, 2, axis=0)) ** 2
+        sums = np.cumsum(np.concatenate([np.zeros_like(second[:1]), second]), axis=0)
+        half = max(LAGS, round(NEIGHBOURHOOD * len(power) / 2))
+        centre = np.arange(len(power)) - 1
+        low, high = np.clip(centre - half, 0, None), np.clip(centre + half + 1, None, len(second))
+        return np.asarray(np.sqrt((sums[high] - sums[low]) / (high - low)[:, None]))
     square = size**2 / np.mean(size**2, axis=0)
     spread = np.mean((square - 1) ** 2, axis=0)
     together = np.mean((square - 1) * power, axis=0)

@@ -185,16 +185,6 @@ def has_noise(measured: Measured) -> bool:
     return bool(np.max(variance) > NOISE_FREE**2 * np.max(np.abs(measured.matrix) ** 2))
 
 
-def equal_weights(measured: Measured) -> ComplexArray:
-    """Equal weights for all FRFs and lines, (n_line, n, n) [N/m], over the FRF's size."""
-    n = measured.matrix.shape[1] * measured.matrix.shape[2]
-    return np.broadcast_to(np.eye(n) / _size(measured), (measured.omega.size, n, n)).astype(np.complex128)
-
-
-def _size(measured: Measured) -> float:
-    return float(np.sqrt(np.mean(np.abs(measured.matrix) ** 2)))
-
-
 def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     """The data with the covariance that noise of the forces has at the *fitted* FRF H (n_line, n_output,
     n_input) [m/N] and the likeliest forces; as they are where that moves no estimate by LEAST_SHIFT.
@@ -239,12 +229,13 @@ def whitener(measured: Measured) -> ComplexArray:
 
 
 def fit_weights(measured: Measured) -> Weights:
-    """The whitener, or equal weights where no noise is known; in the shortest form that the covariance has.
-    FitError as for whitener.
+    """The whitener, in the shortest form that the covariance has; where no noise is known, equal weights of
+    the measured form over its size. FitError as for whitener.
     """
     if not has_noise(measured):
-        shape = measured.omega.size, measured.matrix[0].size
-        return np.full(shape, 1 / _size(measured), np.complex128)
+        form = measured.omega[:, None] ** measured.derivatives
+        size = np.sqrt(np.mean(np.abs(form[..., None] * measured.matrix) ** 2))
+        return np.repeat(form / size, measured.matrix[0].size, axis=1).astype(np.complex128)
     assert measured.covariance is not None
     std = _deviations(measured)
     if np.count_nonzero(measured.covariance) == std.size:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from labpipe.artefacts.measured_files import RESPONSE_SUFFIX, read_response
 from labpipe.errors import DataError
 from labpipe.project.guessed_frfs import guessed_frf
@@ -17,7 +19,7 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import read_frf_uff
 from labpipe.records.frf_layout import FrfLayout
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
 from labpipe.registry import Registry
 from labpipe.spectra.damping import undamped
 from labpipe.spectra.ports import join
@@ -97,11 +99,27 @@ def load_described(
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
     response = join(responses) if layout.each else responses[0]
+    if layout.averages:
+        response = _with_noise(response, layout.averages, frf.paths[0])
     if layout.windowed is not None:
         response = undamped(response, layout.windowed.exponential)
     if layout.window and not response.line_correlation:
         response = replace(response, line_correlation=amplitude_correlation(layout.window))
     return replace(response, name=name, conditions=conditions or response.conditions)
+
+
+def _with_noise(response: FrequencyResponse, averages: int, path: Path) -> FrequencyResponse:
+    """E|dH|^2 = |H|^2 (1 / coherence - 1) / (averages - 1) of every element alone, of an H1 under one force
+    at a time (Bendat and Piersol 2010, Random Data, 9.2); averages less one, since the same data tell it.
+    """
+    if response.coherence is None or response.stored_covariance is not None:
+        has = "no coherence" if response.coherence is None else "its covariance"
+        raise DataError(f"holds {has}, so 'averages' tells nothing", path, "leave `averages` out")
+    if not np.all(response.coherence > 0):
+        raise DataError("holds a coherence of zero: its noise has no bound", path, "leave `averages` out")
+    variance = np.abs(response.matrix) ** 2 * (1 / response.coherence - 1) / (averages - 1)
+    held = BlockCovariance.uncorrelated(variance)
+    return replace(response, covariance=held, covariance_dof=averages - 1.0, averages=float(averages))
 
 
 def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:

@@ -132,6 +132,9 @@ class FrfLayout(Settings):
     conjugate: bool = setting(
         "flag", "the numbers are the complex conjugate of H: their phase rises through a mode", default=False
     )
+    averages: int = setting(
+        "integer", "independent averages behind an H1: with its coherence they tell the noise", default=0
+    )
     window: str = setting(
         "choice",
         "window of the analyser's blocks, through which neighbouring lines share noise",
@@ -159,6 +162,11 @@ class FrfLayout(Settings):
         ):
             what = "neither 'columns' nor 'variables' say where the numbers stand"
             raise ConfigError(what, hint="columns: {frequency: 1, re: 2, im: 3}")
+        if self.averages == 1:
+            raise SettingError("averages", "the coherence of one average tells no noise")
+        if self.averages and self.windowed is not None:
+            what = "how the noise of a windowed hit goes on without its window is not known"
+            raise SettingError("averages", what, "leave out 'averages' or 'windowed'")
         if self.axes and sorted(self.axes) != sorted(AXES):
             raise SettingError("axes", "'axes' must name frequency, output and input once each")
         if self.table is not None:

@@ -17,7 +17,7 @@ from scipy.io import savemat
 from labpipe.errors import ConfigError, DataError
 from labpipe.raw_files.frf_csv import read_frf_csv
 from labpipe.raw_files.frf_described import Dofs, read_described
-from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout
+from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout, WindowedSettings
 
 FREQUENCY = np.arange(2.0, 9.0, 0.5)
 OMEGA = 2 * np.pi * FREQUENCY
@@ -363,6 +363,8 @@ def test_faults_have_their_place(
             },
             "must name frequency",
         ),
+        ({"file": "a", "averages": 1}, "the coherence of one average"),
+        ({"file": "a", "averages": 2, "windowed": WindowedSettings(1.0)}, "noise of a windowed hit"),
     ],
 )
 def test_descriptions_that_cannot_be_meant(entries: dict[str, object], fault: str) -> None:

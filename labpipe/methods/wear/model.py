@@ -14,7 +14,7 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.measured import Measured, matrix_errors, measured_part
 from labpipe.estimation.model import labels
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.weights import equal_weights, has_noise, weight_uncertainty, whitened, whitener
+from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened
 from labpipe.methods.journal_bearing.curve import TableRange
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
@@ -382,7 +382,7 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
     """
     chosen = measured.chosen
     weighted = has_noise(chosen)
-    weights = whitener(chosen) if weighted else equal_weights(chosen)
+    weights = fit_weights(chosen)
     size = excess = 1.0
     if weighted:
         uncertainty = weight_uncertainty(measured.measured, max(chosen.n_equation - len(model.names), 1))
