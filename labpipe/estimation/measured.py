@@ -81,6 +81,11 @@ class Measured:
         return receptance if self.offset is None else receptance + self.offset[:, None, None]
 
     @property
+    def form_size(self) -> FloatArray:
+        """Size of the measured form over that of the receptance, (n_line,) [1/s^derivatives]."""
+        return self.omega**self.derivatives
+
+    @property
     def n_equation(self) -> int:
         """Number of real equations."""
         return 2 * self.matrix.size

@@ -116,8 +116,8 @@ class _Judge:
         self, problem: OutputError[ReceptanceModel], values: FloatArray, null: Null
     ) -> Structure | None:
         """The structure of the residual at *values* (n_parameter,) [parameter units] against noise."""
-        form = self.measured.omega[:, None] ** self.measured.derivatives
-        size = form * np.abs(self.measured.matrix).reshape(form.size, -1)
+        measured = self.measured
+        size = np.abs(measured.form_size[:, None, None] * measured.matrix).reshape(measured.omega.size, -1)
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         if self.stated is not None:
             # What stated numbers change is no structure of a wrong model, of whatever size.
@@ -300,10 +300,13 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
         return best.problem.weights
     measured = judged.measured
     residual = measured.matrix - best.problem.model.receptance(best.values, measured.omega)
-    form = measured.omega[:, None] ** measured.derivatives
-    residual = form * residual.reshape(form.size, -1)
-    scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0) / 6
-    return (form / np.sqrt(scatter)).astype(np.complex128) if np.all(scatter > 0) else None
+    second = np.diff(measured.form_size[:, None, None] * residual, 2, axis=0)
+    scatter = np.mean(np.abs(second) ** 2, axis=0).ravel() / 6
+    return (
+        np.outer(measured.form_size, 1 / np.sqrt(scatter)).astype(np.complex128)
+        if np.all(scatter > 0)
+        else None
+    )
 
 
 def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:

@@ -183,9 +183,8 @@ def model_error(
         # Of what is common to neighbouring lines, as a course is.
         std = np.sqrt(measured.shared_noise * measured.covariance[:, 0, 0].real)
     else:
-        form = measured.omega**measured.derivatives
-        residual = form * (h - model.receptance(values, measured.omega)[:, 0, 0])
-        std = np.sqrt(np.mean(np.abs(np.diff(residual, 2)) ** 2) / 6) / form
+        residual = measured.form_size * (h - model.receptance(values, measured.omega)[:, 0, 0])
+        std = np.sqrt(np.mean(np.abs(np.diff(residual, 2)) ** 2) / 6) / measured.form_size
     if not np.all(std > 0):
         return None
     curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))

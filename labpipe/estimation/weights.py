@@ -233,9 +233,8 @@ def fit_weights(measured: Measured) -> Weights:
     the measured form over its size. FitError as for whitener.
     """
     if not has_noise(measured):
-        form = measured.omega[:, None] ** measured.derivatives
-        size = np.sqrt(np.mean(np.abs(form[..., None] * measured.matrix) ** 2))
-        return np.repeat(form / size, measured.matrix[0].size, axis=1).astype(np.complex128)
+        size = np.sqrt(np.mean(np.abs(measured.form_size[:, None, None] * measured.matrix) ** 2))
+        return np.outer(measured.form_size / size, np.ones(measured.matrix[0].size)).astype(np.complex128)
     assert measured.covariance is not None
     std = _deviations(measured)
     if np.count_nonzero(measured.covariance) == std.size:
