@@ -4,6 +4,7 @@ lines around each line.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,8 +20,10 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_parts, noise_levels, pooled_residual
+from labpipe.spectra.impact import force_noise_findings
 from labpipe.spectra.local import LocalNoise, check_half_width, local_noise, usual_half_width
 from labpipe.spectra.matrices import hermitian
+from labpipe.spectra.period_average import neighbourhood_mean
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
@@ -44,8 +47,10 @@ LEAST_SHARE, AROUND = 0.1, 101
 WHOLE = 0.9
 
 
+# Lines to either side over which two sweeps are coherent but for noise, and pairs that are looked at.
+COHERENT, MOST_PAIRS = 8, 12
 # Times of a block and lines to either side by which its zeros are told.
-TIMES, FURTHEST = 512, 32
+TIMES, FURTHEST = 512, 8
 
 
 # Parts of a block; a burst is one with this share of its noise, and this many times the usual power (white
@@ -137,8 +142,12 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         leaking=spectra.leaking,
     )
     bursts = _bursts(spectra, swept, layout, n_sample, rate)
+    lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
+    low = _low_by_noise(spectra.blocks, lines, swept, layout, n_sample)
+    what, hint = "in repeated sweeps makes H low by", "average less of it: a better sensor, or more force"
+    noisy = force_noise_findings(parts, low, layout, what, hint)
     return replace(
-        parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *bursts, *rates)
+        parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *noisy, *bursts, *rates)
     )
 
 
@@ -471,6 +480,37 @@ def _bursts(
         "resonances; lower the force there, or sweep the others alone"
     )
     return (Finding("burst", what),)
+
+
+def _low_by_noise(
+    blocks: ComplexArray, lines: IntArray, swept: Sequence[_Swept], layout: Layout, n_sample: int
+) -> list[FloatArray]:
+    """How low least squares make H by noise n in the power s + n of a recording's force, (n_line,) [1] each:
+    (1 - 1 / n_block) n / s. Repeated sweeps, alike but for a delay, have the coherence s / (s + n) over lines
+    around; 0 without any, and where several forces act.
+    """
+    forces = blocks[:, :, : len(layout.inputs)]
+    size, every = np.sum(np.abs(forces) ** 2, axis=1), np.ones(lines.size, bool)
+    sweeps = [sweep for run in swept for sweep in run.sweeps]
+    low: dict[int, FloatArray] = {}
+    for force, of_force in enumerate((size == size.sum(axis=1, keepdims=True)).T):
+        pairs = itertools.combinations(np.flatnonzero(of_force), 2)
+        alike = (list(pair) for pair in pairs if sweeps[pair[0]].is_like(sweeps[pair[1]]))
+        found = []
+        for pair in itertools.islice(alike, MOST_PAIRS):
+            u, v = forces[pair, :, force]
+            cross = np.zeros(n_sample, np.complex128)
+            cross[lines] = u * v.conj()
+            late = int(np.argmax(np.abs(fft.ifft(cross))))
+            cross = cross[lines] * np.exp(2j * np.pi * lines * late / n_sample)
+            means = (neighbourhood_mean(x, every, COHERENT) for x in (cross, np.abs(u) ** 2, np.abs(v) ** 2))
+            shared, one, other = means
+            found.append(np.sqrt(one * other) / np.abs(shared) - 1)
+        if found:
+            low[force] = np.mean(found, axis=0) * (1 - 1 / np.count_nonzero(of_force))
+    nothing = np.zeros(lines.size)
+    of_runs = (max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns)
+    return [low.get(force, nothing) for force in of_runs]
 
 
 def _lines_averaged(width: int, half_width: int) -> float:

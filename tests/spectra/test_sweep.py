@@ -380,3 +380,22 @@ def test_zeros_after_a_short_recording_hold_no_noise() -> None:
     one[lines.size // 2] = 1
     shared = noise.times(one)[lines.size // 2 + 1, :, 0]
     np.testing.assert_allclose(shared, np.sinc(np.array([lengths[0] / n_sample, 1.0] * 2)), atol=0.02)
+
+
+@pytest.mark.parametrize("direction", ["up", "up-down"])
+def test_noise_of_the_force_that_makes_repeated_sweeps_low_is_named(direction: str) -> None:
+    """Noise s of n_sample samples beside |U|^2: H is low by 2/3 n_sample s^2 / |U|^2 over three sweeps, and
+    not over two that do not repeat.
+    """
+    sweep = replace(UP, duration=6.0, direction=direction)
+
+    def named(count: int, noise: float) -> str:
+        response = measure([record(2, sweep, count, (noise, 0.01))], replace(SWEEP, band=(25.0, 75.0)))
+        return next((f.message for f in response.findings if f.code == "force-noise"), "")
+
+    one = sweep.samples(RATE, 1)
+    spectrum = np.abs(fft.rfft(one))[round(25 * one.size / RATE) : round(75 * one.size / RATE)]
+    low = 100 * 2 / 3 * one.size * (0.2 * one.std()) ** 2 / np.median(spectrum**2)
+    found = re.search(r"low by ([\d.]+) %", named(3, 0.2))
+    assert found is not None and float(found[1]) == pytest.approx(low, rel=0.15)
+    assert not named(3, 0.01) and bool(named(2, 0.2)) == (direction == "up")
