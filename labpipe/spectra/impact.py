@@ -270,24 +270,32 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     chosen = lines_left(parts.frequency, settings)
     parts = _select(replace(parts, findings=(*findings, *parts.findings)), chosen)
     errors = [average.force_noise()[chosen] for average in averages]
-    windowed = settings.impact.force_window is not None
-    findings = list(force_noise_findings(parts, errors, layout, windowed))
-    return replace(parts, findings=(*parts.findings, *findings))
+    what, hint = "after its hits makes H low by", "give `impact: {force_window: ...}`"
+    if settings.impact.force_window is not None:
+        what, hint = (
+            "within its window moves H by",
+            "shorten `force_window` to a little more than the contact",
+        )
+    return replace(
+        parts, findings=(*parts.findings, *force_noise_findings(parts, errors, layout, what, hint))
+    )
 
 
 def force_noise_findings(
-    parts: Parts, errors: Sequence[FloatArray], layout: Layout, windowed: bool
+    parts: Parts, errors: Sequence[FloatArray], layout: Layout, what: str, hint: str
 ) -> Iterator[Finding]:
     """A warning of every force whose noise moves H, alike at all lines, by more than MOST_COMMON standard
-    errors of a gain common to all lines. *errors* of each recording's force, relative, (n_line,) [1] each.
-    With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
+    errors of a gain common to all lines; *what* it does, and the *hint*. *errors* of each recording's force,
+    relative, (n_line,) [1] each. With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
     """
     if parts.covariance is None:
         return
     stored = parts.covariance
     variance = np.einsum("lii->li", stored).real if isinstance(stored, np.ndarray) else stored.variance
     size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
-    precision = size / np.maximum(variance.reshape(size.shape), ROUNDING**2 * size)
+    precision = size / np.maximum(
+        variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
+    )
     forces = [max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns]
     for force in dict.fromkeys(forces):
         of_force = [error for error, number in zip(errors, forces, strict=True) if number == force]
@@ -295,11 +303,6 @@ def force_noise_findings(
         total = np.maximum(np.sum(weights, axis=0), np.finfo(float).tiny)
         common = float(np.max(error @ weights * np.sqrt(2 / total), initial=0.0))
         if common > MOST_COMMON:
-            what, hint = (
-                ("within its window moves H by", "shorten `force_window` to a little more than the contact")
-                if windowed
-                else ("after its hits makes H low by", "give `impact: {force_window: ...}`")
-            )
             yield Finding(
                 "force-noise",
                 f"noise of the force {layout.inputs[force].label} {what} {100 * np.median(error):.2g} % "
