@@ -173,7 +173,7 @@ Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
 class LoopObservation:
     """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside
     the bearings. *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of
-    channels, and of numbers that the prediction rests on.
+    channels, and of numbers that the prediction rests on. *left_out*: signals that tell nothing beside these.
     """
 
     measured: Measured
@@ -182,6 +182,7 @@ class LoopObservation:
     support: Support = Support()
     nuisance: int = 0
     errors: Errors = lambda *_: ()
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

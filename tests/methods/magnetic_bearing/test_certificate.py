@@ -34,6 +34,7 @@ from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.methods.magnetic_bearing.certified import (
     FILE,
     FREQUENCY,
+    LOOP,
     RATE,
     UNKNOWNS,
     drawn,
@@ -171,6 +172,24 @@ def test_signals_that_are_sums_of_others_are_refused(rng: np.random.Generator) -
             certificate(
                 asked(before=("before",), after=("after",)), replace(measured, covariance=covariance), FILE
             )
+
+
+def test_a_reading_that_the_controller_logs_with_its_command_counts_once(rng: np.random.Generator) -> None:
+    """after - e is the probe's reading but for leakage z[p + 1] - z[p] of period p, which telescopes in the
+    mean: of three signals chi2/dof came out near (2 + 1/20) / 3; its standard deviation is sqrt(2 / dof).
+    """
+    periods, right = 20, response(None)
+    size = 0.02 * np.sqrt(np.mean(np.abs(right.matrix) ** 2, axis=0))[:, 0]
+    draws = right.matrix[..., 0] + size * drawn(rng, (periods, len(FREQUENCY), 4))
+    ends = 1e-3 * size[2] * drawn(rng, (periods + 1, len(FREQUENCY)))
+    draws[..., 2] = (draws[..., 1] - 1) / LOOP.sensor + np.diff(ends, axis=0)
+    mean = draws.mean(axis=0)
+    rest = draws - mean
+    covariance = np.einsum("plc,pld->lcd", rest, rest.conj()) / (periods * (periods - 1))
+    log = replace(right, matrix=mean[..., None], covariance=covariance, covariance_dof=periods - 1.0)
+    found = certificate(replace(asked(after=("after",)), estimate=()), log, FILE)
+    assert abs(found.amount("chi2_reduced").value - 1) < 3 * np.sqrt(2 / (4 * len(FREQUENCY)))
+    assert [f.message[:2] for f in found.findings if f.code == "computed"] == ["x "]
 
 
 @pytest.mark.long
