@@ -19,10 +19,11 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import f_tail
 from labpipe.errors import DataError
 from labpipe.estimation.model import DynamicModel
+from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import Lags
-from labpipe.spectra.impact import HitSearch, force_window, judged_hit
+from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_window, judged_hit
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
 
@@ -100,11 +101,48 @@ class HitSums:
 
     def covariance(self) -> ComplexArray:
         """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]."""
+        noise = self._noise()[0] / self.force_power[..., None, None]
+        return np.pad(noise, [(0, 0), (0, 0), (0, 1), (0, 1)])
+
+    def findings(self, fit: str) -> list[Finding]:
+        """A warning of noise of the force that makes H low, as of a run."""
+        power, size = self.force_power[..., None], np.abs(self.mean[..., :-1]) ** 2
+        noise, of_force = self._noise()
+        low = self.n * of_force / (size * power)
+        weight = size * power / np.einsum("leoo->leo", noise).real
+        common = float(np.max(np.sum(low * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))))
+        if not common > MOST_COMMON:
+            return []
+        what = (
+            f"{fit}: noise of the force makes H low by {100 * np.median(low):.2g} % (median over the lines), "
+        )
+        what += f"{common:.2g} standard errors of a gain that all lines have in common"
+        return [Finding("force-noise", f"{what}; give `impact: {{force_window: ...}}`")]
+
+    def _noise(self) -> tuple[ComplexArray, FloatArray]:
+        """Noise of the responses in one average (n_line, n_experiment, n_output, n_output) [squared response
+        unit], and what of it is the force's, (n_line, n_experiment, n_output): of the likeliest rho |H|^2, or
+        none where that is little better. |H|^2 changes within a few lines: noise is smoothed of that course.
+        """
         power, h = self.force_power[..., None, None], self.mean[..., :-1]
-        noise = self._xx - power * h[..., :, None] * h[..., None, :].conj()
-        return np.pad(moving_mean(noise / (self.n - 1)) / power, [(0, 0), (0, 0), (0, 1), (0, 1)])
+        noise = (self._xx - power * h[..., :, None] * h[..., None, :].conj()) / (self.n - 1)
+        gain = np.abs(h) ** 2
+        gain, plain = gain / gain.mean(axis=0), np.einsum("leoo->leo", noise).real
+        parts = FORCE_NOISE[:, None, None, None] * gain
+        scale = np.maximum(np.mean(plain / (1 + parts), axis=1), np.finfo(float).tiny)
+        misfit = (self.n - 1) * (len(gain) * np.log(scale) + np.sum(np.log1p(parts), axis=1))
+        best = np.where(misfit.min(axis=0) < misfit[0] - FORCE_NOISE_SEEN, misfit.argmin(axis=0), 0)
+        part = FORCE_NOISE[best] * gain
+        root = np.sqrt(1 + part)
+        root = root[..., :, None] * root[..., None, :]
+        smooth = moving_mean(noise / root) * root
+        return smooth, np.einsum("leoo->leo", smooth).real * part / (1 + part)
 
 
+# Ratios of the noise of the force, as it is seen on the mean of |H|^2, to that of the response; what the
+# logarithm of their likelihood gains where there is noise of the force.
+FORCE_NOISE = np.append(0.0, np.geomspace(1e-2, 1e3, 21))
+FORCE_NOISE_SEEN = 4.0
 Sums = PeriodSums | HitSums
 
 
