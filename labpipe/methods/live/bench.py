@@ -517,8 +517,7 @@ class Bench(charts.Watch):
                 turn = "turn the shaker, or excite a second direction"
                 message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
                 findings.append(Finding("collinear", message))
-            hits = [sums for sums in fit.sums.shaken.values() if isinstance(sums, running_fit.HitSums)]
-            findings += [finding for sums in hits for finding in sums.findings(name)]
+            findings += fit.sums.findings(name, self.cutter)
             if estimate.misfit and estimate.n >= 3:
                 message = (
                     f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does not "

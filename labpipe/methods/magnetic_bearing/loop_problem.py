@@ -131,19 +131,9 @@ def response_errors(
     uncertainty of every source. Gain, delay and phase of the channels, and sums of channels; a direction,
     which another channel of the same quantity would have to tell, is left out.
     """
-    part = np.ix_(range(response.n_frequency), rows, columns)
-    return matrix_errors(
-        Measured(
-            omega=2 * np.pi * response.frequency,
-            matrix=response.matrix[part],
-            covariance=None,
-            noise_dof=np.inf,
-            noise_lines=1.0,
-            outputs=tuple(response.outputs[row] for row in rows),
-            inputs=tuple(response.inputs[column] for column in columns),
-            errors=tuple(replace(error, change=error.change[part]) for error in response.errors),
-        )
-    )
+    lines = np.ones(response.n_frequency, bool)
+    part = measured_part(replace(response, form="receptance"), list(rows), list(columns), lines)
+    return matrix_errors(part)
 
 
 def merge(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
