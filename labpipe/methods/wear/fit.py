@@ -171,15 +171,18 @@ def _without_prior(fit: Fit, solved: _Solved, wear: WearSettings) -> tuple[Fit, 
     rows = misfit.jacobian(solved.best.parameters)[-misfit.n_prior :]
     changes = np.zeros((len(prior.names), len(fit.parameters)))
     changes[:, : len(misfit.model.names)] = misfit.model.scale * (rows @ solved.noise_covariance)
-    parameters = []
-    for parameter, by_prior in zip(fit.parameters, np.sum(changes**2, axis=0), strict=True):
-        if (error := parameter.std_error) and parameter.ci95 is not None:
-            left = float(np.sqrt(max(1 - by_prior / error**2, ROUNDING**2)))
-            ends = [parameter.value + left * (end - parameter.value) for end in parameter.ci95]
-            parameter = replace(parameter, std_error=left * error, ci95=(ends[0], ends[1]))
-        parameters.append(parameter)
-    errors = zip(prior.names, prior.std.tolist(), strict=True)
-    names = [Uncertainty(f"{wear.prior}.{name}", error, UNITS[name]) for name, error in errors]
+    parameters = list(fit.parameters)
+    for number, parameter in enumerate(parameters):
+        if (error := parameter.std_error) and (ends := parameter.ci95) is not None:
+            left = 1 - float(np.sum(changes[:, number] ** 2)) / error**2
+            left, value = max(left, ROUNDING**2) ** 0.5, parameter.value
+            low, high = (value + left * (end - value) for end in ends)
+            parameters[number] = replace(parameter, std_error=left * error, ci95=(low, high))
+    # Another tuning of the same name has other values, and errors of its own.
+    names = [
+        Uncertainty(f"{wear.prior}.{name} = {mean:.6g} {UNITS[name]}", error, UNITS[name])
+        for name, mean, error in zip(prior.names, prior.mean, prior.std.tolist(), strict=True)
+    ]
     return replace(fit, parameters=tuple(parameters)), list(zip(names, changes, strict=True))
 
 

@@ -317,7 +317,10 @@ def test_tests_that_share_a_tuning_have_its_error_in_common() -> None:
     changes = parameter_changes(fits, "wear_depth")
     common = slopes[0] @ spread @ slopes[1].T
     assert changes[:, 0] @ changes[:, 1] == pytest.approx(common[0, 0])
-    assert [source.source for source in fits[0].budget.sources] == ["tuning.viscosity", "tuning.clearance"]
+    assert [source.source for source in fits[0].budget.sources] == [
+        "tuning.viscosity = 0.1 Pa.s",
+        "tuning.clearance = 9e-05 m",
+    ]
     depths = [fit.parameter("wear_depth") for fit in fits]
     np.testing.assert_allclose([np.hypot(p.std_error, p.systematic) ** 2 for p in depths], whole)
     np.testing.assert_allclose([random_part(fits[0], depths[0])], depths[0].std_error)
