@@ -17,6 +17,7 @@ from labpipe.estimation.measured import Measured, chosen_ports, matrix_errors, m
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, loop_fit
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown, with_unknowns
+from labpipe.methods.magnetic_bearing.sensitivity import MOST_SCALED
 from labpipe.methods.magnetic_bearing.stability import INPUT, OUTPUT, open_loop
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
@@ -262,11 +263,8 @@ def recorded_loop(
     rate = acceptance.rate or file.loop.rate
     named = {signal: getattr(acceptance, signal) for signal in ("output", "displacement", "current")}
     named = {"after": acceptance.after[0], **named, "before": "".join(acceptance.before)}
-    signals = {
-        signal: chosen_ports(response.outputs, (name,), "response")[0]
-        for signal, name in named.items()
-        if name
-    }
+    rows = {key: chosen_ports(response.outputs, (name,), "response") for key, name in named.items() if name}
+    signals = {signal: chosen[0] for signal, chosen in rows.items()}
     if len(response.inputs) != 1:
         hint = "role: input for the excitation alone"
         raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint=hint)
@@ -306,7 +304,7 @@ def recorded_loop(
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise
         # with them. What is common to all of them is added then, and cancels to the last digit.
-        uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        uncertainties = matrix_errors(_at(measured, predict(changed, support)))
         if not acceptance.before:
             return uncertainties
         per = per_added(changed)
@@ -318,6 +316,15 @@ def recorded_loop(
     nuisance = 2 * measured.omega.size if acceptance.before else 0
     left_out = tuple(named[signal] for signal in computed)
     return LoopObservation(measured, predict, file, nuisance=nuisance, errors=errors, left_out=left_out)
+
+
+def _at(measured: Measured, predicted: ComplexArray) -> Measured:
+    """What is *predicted* (n_line, n_signal, 1), with its own changes."""
+    here = measured.matrix
+    near = np.abs(here) > np.abs(predicted) / MOST_SCALED
+    ratio = np.divide(predicted, here, out=np.ones_like(here), where=near)
+    errors = tuple(replace(error, change=error.change * ratio) for error in measured.errors)
+    return replace(measured, matrix=predicted, errors=errors)
 
 
 # As in a fit, magnets may outgrow all numbers.
