@@ -132,6 +132,13 @@ def trend(
         raise DataError("no result matches these filters", shown_path(folder))
     for series in all_series:
         _echo_series(series)
+    without: dict[str, list[str]] = {}
+    for row in selected if over == DATE else ():
+        if row.dated:
+            without.setdefault(row.dated, []).append(name_of(row.path))
+    for dated, names in without.items():
+        which = listed(list(dict.fromkeys(names)))
+        echo(f"note: {which}: without a condition `date`, dated by {dated}", err=True)
     if table is not None:
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:

@@ -50,6 +50,8 @@ from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_lim
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
 _GIVEN = ("path", "date")
+# What gives the date of a test of many without the condition `date`.
+BY_RECORDING = "the last change of its first recording before it was evaluated"
 
 
 def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
@@ -142,6 +144,7 @@ def value_row(
         conditions=texts,
         amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
         digests=frozenset(filter(None, [row.get("source")])),
+        dated="" if DATE in texts else BY_RECORDING,
     )
 
 
