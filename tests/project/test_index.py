@@ -15,8 +15,8 @@ from labpipe.artefacts.identification_file import read_identification, write_ide
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import widen
 from labpipe.project.catalogue import INDEX, Filter, open_index, results, values
-from labpipe.records.finding import Finding, Parameter, note
 from labpipe.project.run_record import RECORD, begin, recorded, runs_of
+from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome, warning_codes
 
 K = Parameter("k", 1000.0, "N/m", std_error=10.0, t_ratio=100.0, ci95=(980.0, 1020.0), significant=True)
