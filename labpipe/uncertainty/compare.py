@@ -190,8 +190,11 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
         of_first, of_second = members & (groups == first), members & (groups == second)
         if np.any(of_first) and np.any(of_second):
             parts = of_first, of_second
-            before, after = (weighted_mean(logs[part], errors[part]) for part in parts)
-            old, new = (np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0) for part in parts)
+            before, after = means = [weighted_mean(logs[part], errors[part]) for part in parts]
+            old, new = (
+                np.average(relative[:, part], axis=1, weights=1 / (errors[part] ** 2 + mean.spread))
+                for part, mean in zip(parts, means, strict=True)
+            )
             both = np.array([before.std_error(0), after.std_error(0)])
             dof = dof_of_sum(both, np.array([before.effective_dof, after.effective_dof]))
             pairs.append((after.values[0] - before.values[0], np.linalg.norm(both), new - old, dof))
