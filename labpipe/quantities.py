@@ -344,26 +344,8 @@ def in_unit(value: float, si_unit: str, text: str) -> float:
 # Of periods, and of the angle that counts them.
 _RATES = {_dimension(s=-1), _dimension(s=-1, rad=1)}
 _SI_UNITS = (
-    "1",
-    "N",
-    "m",
-    "Hz",
-    "K",
-    "Pa",
-    "N.m",
-    "s",
-    "V",
-    "A",
-    "kg",
-    "rad",
-    "m/s",
-    "m/s^2",
-    "kg.m",
-    "Pa.s",
-    "N/m",
-    "m^3/s",
-    "kg/s",
-    "W",
+    *("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad"),
+    *("m/s", "m/s^2", "kg.m", "Pa.s", "N/m", "m^3/s", "kg/s", "W"),
 )
 
 

@@ -213,7 +213,6 @@ def by_lines(case: Case) -> Estimate:
 
 
 def _of_uneven_noise(judged: _Judge, best: _Minimum) -> Judgement:
-    """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
     jacobian, residual = best.problem.jacobian(best.values), best.problem.residual(best.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)

@@ -114,7 +114,6 @@ def _keep(connection: sqlite3.Connection, folder: Path) -> None:
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
-    """Read new and changed results, remove deleted ones; True if there were any."""
     before = connection.total_changes
     stamps = dict(connection.execute("SELECT path, stamp FROM result"))
     runs = functools.cache(days_of_runs)
@@ -426,7 +425,6 @@ def split_condition(text: str) -> tuple[str, str, str]:
 
 
 def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
-    """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
     name, _, _ = split_condition(text)
     rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
     amounts = {written: (amount, unit) for written, amount, unit in rows}
@@ -460,7 +458,6 @@ def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> 
 
 
 def _is_so(amount: float, sign: str, limit: float) -> bool:
-    """Whether a comparison holds; amounts within the tolerance are equal."""
     if abs(amount - limit) <= SAME * max(abs(limit), SAME):
         return sign in ("=", ">=", "<=")
     return sign == "!=" or (amount > limit if sign.startswith(">") else sign[0] == "<" and amount < limit)

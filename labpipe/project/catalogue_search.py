@@ -92,7 +92,6 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 
 
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
-    """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN} | {"source"}
     chosen = (part for part in dataset_file.parts(folder) if _may_hold(part, criteria))
     tables = [dataset_file.read_part(part, columns) for part in chosen]
@@ -149,7 +148,6 @@ def value_row(
 
 
 def _homes(index: sqlite3.Connection, folder: Path) -> dict[str, Path]:
-    """The folders of results with a dataset, by their names as lists show them."""
     rows = index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")
     return {Path(path).parent.as_posix(): (folder / path).parent for (path,) in rows}
 
@@ -168,7 +166,6 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
-    """A result whose dataset has a test at the conditions and of the days of the criteria."""
     return [row] if _at_conditions(_choose(home, criteria), criteria.where).num_rows else []
 
 
@@ -377,7 +374,6 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
 
 
 def _day(row: ValueRow) -> datetime.date | None:
-    """The day of a value; None for a condition `date` that is no date."""
     try:
         return datetime.date.fromisoformat(row.date[:10])
     except ValueError:
