@@ -341,25 +341,11 @@ def in_unit(value: float, si_unit: str, text: str) -> float:
     return (value * target.factor / _angle_per_period(unit, target) - unit.offset) / unit.factor
 
 
+# Of periods, and of the angle that counts them.
+_RATES = {_dimension(s=-1), _dimension(s=-1, rad=1)}
 _SI_UNITS = (
-    "1",
-    "N",
-    "m",
-    "Hz",
-    "K",
-    "Pa",
-    "N.m",
-    "s",
-    "V",
-    "A",
-    "kg",
-    "rad",
-    "m/s",
-    "Pa.s",
-    "N/m",
-    "m^3/s",
-    "kg/s",
-    "W",
+    *("1", "N", "m", "Hz", "K", "Pa", "N.m", "s", "V", "A", "kg", "rad"),
+    *("m/s", "m/s^2", "kg.m", "Pa.s", "N/m", "m^3/s", "kg/s", "W"),
 )
 
 
@@ -373,10 +359,12 @@ def si_amount(text: str | float) -> tuple[float, str]:
     if match is None:
         raise UnitError(f"'{text}' is no amount", "for example 427 N")
     unit = parse_unit(match[2] or "1")
-    name = next((name for name in _SI_UNITS if parse_unit(name).dimension == unit.dimension), None)
+    same = _RATES if unit.dimension in _RATES else {unit.dimension}
+    name = next((name for name in _SI_UNITS if parse_unit(name).dimension in same), None)
     if name is None:
         raise UnitError(f"'{match[2]}' has an unusual dimension", f"known: {', '.join(_SI_UNITS)}")
-    return _finite(float(match[1]) * unit.factor + unit.offset, text), name
+    value = float(match[1]) * unit.factor + unit.offset
+    return _finite(value * _angle_per_period(unit, parse_unit(name)), text), name
 
 
 def name_of_dimension(dimension: Dimension) -> str:
@@ -424,8 +412,7 @@ def check_dimension(text: str, unit: Unit, si_unit: str) -> None:
     dimension = parse_unit(si_unit).dimension
     if unit.dimension == dimension:
         return
-    periods = {_dimension(s=-1), _dimension(s=-1, rad=1)}
-    if unit.dimension in periods and dimension in periods:
+    if {unit.dimension, dimension} <= _RATES:
         return
     raise UnitError(f"'{text}' has the wrong dimension, {si_unit} is needed", _example(si_unit))
 

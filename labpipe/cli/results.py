@@ -34,8 +34,8 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     """List the results below FOLDER, or their parameter values.
 
     FOLDER may be s3://bucket/prefix. Every identification.json counts. Conditions are written as `--where
-    "preload >= 400 N"`; all of them must hold. The date is the test's condition `date`, or else that of the
-    file.
+    "preload >= 400 N"`; all of them must hold. The date is the test's condition `date`, else that of its
+    run in a record of runs, else that of the file.
     """
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     find = (
@@ -132,6 +132,9 @@ def trend(
         raise DataError("no result matches these filters", shown_path(folder))
     for series in all_series:
         _echo_series(series)
+    for dated in dict.fromkeys(row.dated for row in selected if row.dated) if over == DATE else ():
+        names = dict.fromkeys(name_of(row.path) for row in selected if row.dated == dated)
+        echo(f"note: {listed(list(names))}: without a condition `date`, dated by {dated}", err=True)
     if table is not None:
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:

@@ -313,15 +313,18 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
         return None
     points = leakage.points_of(model, parameters)
     deviation = points - np.einsum("m,lmoi->loi", leakage.kernel.weights, points)[:, None]
-    ratios = _force_ratios(measured, leakage.kernel.blocks.apart)
-    apparent = _apparent(leakage, deviation, ratios) / measured.noise_dof
+    blocks, ratios = leakage.kernel.blocks, _force_ratios(measured)
+    alone = np.eye(len(ratios))
+    of_residual = alone if blocks.apart else ratios
+    apparent = _by_force(deviation * leakage.kernel.weights[:, None, None], deviation, of_residual)
+    apparent /= measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
     white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
     of_noise = white @ np.linalg.cholesky(noise)
     pairs = []
     for distance, shared in enumerate([1.0, *leakage.correlation.tolist(), 0.0]):
         first, second = leakage.pairs(distance)
-        covariance, turned = _scatter(leakage, deviation, ratios, distance)
+        covariance, turned = _scatter(leakage, deviation, alone if blocks.by_force else ratios, distance)
         correlated = white[first] @ covariance @ hermitian(white[second]) + shared * (
             of_noise[first] @ hermitian(of_noise[second])
         )
@@ -330,22 +333,13 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
     return LineBlocks(measured.omega.size, tuple(pairs))
 
 
-def _force_ratios(measured: Measured, apart: bool) -> FloatArray:
-    """Power of every force over that of each, (n_input, n_input) [1], by the noise of H, which is over it; of
-    forces *apart*, which share no recording, of each alone.
-    """
+def _force_ratios(measured: Measured) -> FloatArray:
+    """Power of every force over that of each, (n_input, n_input) [1], by the noise of H, which is over it."""
     assert measured.covariance is not None
     _, n_output, n_input = measured.matrix.shape
-    if apart:
-        return np.eye(n_input)
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
     power = np.median(variance[:, :, :1] / variance, axis=(0, 1))
     return np.outer(power, 1 / power)
-
-
-def _apparent(leakage: Leakage, deviation: ComplexArray, ratios: FloatArray) -> ComplexArray:
-    """Covariance (n_line, n, n) [m^2/N^2] of H by leakage in a block's residual, as of independent blocks."""
-    return _by_force(deviation * leakage.kernel.weights[:, None, None], deviation, ratios)
 
 
 def _scatter(
@@ -355,7 +349,7 @@ def _scatter(
 
     Of circular normal values, over blocks t apart: sum_t (1 - |t| / K) E_t conj(P_t) / K with E_t of the
     residuals, P_t of the forces, and sum_t (1 - |t| / K) Q_t(k, l) Q_-t(l, k) / K with Q_t between the
-    residual of one line and block and the force of the other.
+    residual of one line and block and the force of the other; K: blocks of a force.
     """
     kernel = leakage.kernel
     first, second = leakage.pairs(distance)
@@ -366,12 +360,12 @@ def _scatter(
     rows, columns = (np.ascontiguousarray(side).reshape(*side.shape[:2], n) for side in (left, right))
     covariance, turned = np.zeros((2, first.size, n, n), np.complex128)
     for weight, phases in kernel.shifts():
-        shifted = weight / kernel.blocks.number * both * phases[step:]
-        of_forces = _by_force(left * shifted[:, None, None], right, ratios)
+        shifted = both * phases[step:]
+        of_forces = _by_force(left * shifted[:, None, None], right, weight * ratios)
         covariance += of_forces * np.vdot(phases[step:], both)
         there = (shifted @ rows).reshape(-1, *deviation.shape[2:])
         back = (both * phases[step:].conj() @ columns).reshape(-1, *deviation.shape[2:])
-        turned += np.einsum("koj,kpi,ij->koipj", there, back, ratios > 0).reshape(-1, n, n)
+        turned += np.einsum("koj,kpi,ij->koipj", there, back, weight * (ratios > 0)).reshape(-1, n, n)
     return covariance, turned
 
 

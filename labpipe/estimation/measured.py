@@ -154,6 +154,7 @@ def measured_part(
     real, gains = response.line_gains is None and not np.any(correlation.imag), None
     if response.line_gains is not None:
         gains = chosen(response.line_gains).reshape(numbers.size, -1, len(elements))
+    blocks = response.blocks and response.blocks.of_forces(columns)
     line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
     return Measured(
         omega=2 * np.pi * frequency,
@@ -165,8 +166,8 @@ def measured_part(
         inputs=inputs,
         shared_noise=max(_share(numbers, correlation.real if real else np.abs(correlation) ** 2), 1.0),
         shared_power=_share(numbers, np.abs(correlation) ** 2),
-        blocks=response.blocks,
-        leakage=_leakage(response, frequency),
+        blocks=blocks,
+        leakage=_leakage(response, blocks, frequency),
         noise=None if gains is None else line_noise,
         line_noise=line_noise,
         derivatives=_derivatives(response.form),
@@ -201,8 +202,7 @@ def _chosen_covariance(
     return np.asarray(whole / (np.abs(factor) ** 2)[:, None, None])
 
 
-def _leakage(response: FrequencyResponse, frequency: FloatArray) -> Leakage | None:
-    blocks = response.blocks
+def _leakage(response: FrequencyResponse, blocks: Blocks | None, frequency: FloatArray) -> Leakage | None:
     if blocks is None or not has_kernel(blocks):
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)

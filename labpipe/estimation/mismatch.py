@@ -18,15 +18,17 @@ from labpipe.estimation.budget import Case
 from labpipe.estimation.coefficient_error import CoefficientError, coefficient_error
 from labpipe.estimation.descent import minimise
 from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text
+from labpipe.estimation.leakage import shared_residual
 from labpipe.estimation.likelihood import Assessed, assess
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import FittedModel, ReceptanceModel
 from labpipe.estimation.model_error import MOVED_FREQUENCY, SECOND_MODE, ModelError, model_error
 from labpipe.estimation.output_error import OutputError
+from labpipe.estimation.regression import inverse_of
 from labpipe.estimation.residual import GROWING, LOCAL, Null, Structure, line_scatter, residual_structure
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student_limit
-from labpipe.estimation.weights import NOISE_FREE, Weights, has_noise
+from labpipe.estimation.weights import NOISE_FREE, Weights, complex_rows, has_noise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Goodness
 
@@ -199,16 +201,22 @@ def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
 
 
 def by_lines(case: Case) -> Estimate:
-    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown and
-    lines share none: if it grows with the response, its mean is too small where lines say most of damping.
+    """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown: if
+    it grows with the response, its mean is too small where lines say most of damping. What lines share
+    enlarges errors as it does those of even noise.
     """
     measured, estimate, of_ml = case.measured, case.estimate, case.setup.settings.estimates.likelihood
-    if has_noise(measured) or measured.line_noise is not None or not (of_ml and estimate.converged):
+    if has_noise(measured) or not (of_ml and estimate.converged):
         return estimate
-    problem = OutputError.of(measured, case.model)
+    problem, n_line = OutputError.of(measured, case.model), measured.omega.size
     jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
-    scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
-    return replace(estimate, covariance=measured.shared_noise * scatter.covariance)
+    covariance = line_scatter(jacobian, residual, n_line, alone=True).covariance
+    if measured.line_noise is not None:
+        inverse = inverse_of(problem.linearised(estimate.values))
+        shared = shared_residual(measured.line_noise, complex_rows(jacobian, n_line), inverse)
+        larger = np.sqrt(np.diag(shared.covariance) / np.diag(inverse))
+        covariance = covariance * np.outer(larger, larger)
+    return replace(estimate, covariance=covariance)
 
 
 def _of_uneven_noise(judged: _Judge, best: _Minimum, power: str) -> Judgement:

@@ -161,9 +161,6 @@ class RepeatValues:
             return cls(np.log(np.abs(values)), (errors / values) ** 2, True)
         return cls(values, errors**2, False)
 
-    def chosen(self, used: Sequence[bool]) -> RepeatValues:
-        return RepeatValues(self.values[np.array(used)], self.variances[np.array(used)], self.log)
-
 
 def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
     recordings = [test.response.repeat_names[place] for place in places]
@@ -252,11 +249,11 @@ def _course(
     middle = 1.0 if levels is None else float(np.median(levels))
     covariate = np.zeros(len(values)) if levels is None else levels / middle - 1
     kept = kept_repeats(values, variances, covariate if np.ptp(covariate) >= LEAST_RANGE else None)
-    chosen = [of.chosen(list(kept.used)) for of in judged]
+    chosen = [(of.values[kept.used], of.variances[kept.used]) for of in judged]
     of_level, order = covariate[kept.used], np.linspace(-0.5, 0.5, len(values))[kept.used]
-    if any(follows(of.values, of.variances, of_level) for of in chosen):
+    if any(follows(*of, of_level) for of in chosen):
         return kept, _Course(LEVEL, of_level, middle)
-    if any(drifts(of.values, of.variances, order) for of in chosen):
+    if any(drifts(*of, order) for of in chosen):
         return kept, _Course(ORDER, order, (len(values) + 1) / 2)
     return kept, None
 

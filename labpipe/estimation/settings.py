@@ -37,7 +37,8 @@ class ModelKind:
 
     fit: the fits of what the model is *of*, a response, free decays or spectra; one per band or peak.
     section: key of the model's own *settings*, and an *example*, *optional* where all have defaults. earlier:
-    name of the fit whose result this one begins with; begin: the settings with that result among *fits*.
+    name of the fit whose result this one begins with; begin: the settings with that result among *fits*;
+    check_after: ConfigError where these contradict the settings of that fit.
 
     keys: those of a fit, besides EVERY, that change what is computed; all others are refused; by_likelihood:
     those that only an estimator by likelihood takes. estimators that fit it; empty: any. equations of a model
@@ -56,6 +57,7 @@ class ModelKind:
     optional: bool = False
     earlier: Callable[[FitSettings], str] = lambda _settings: ""
     begin: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
+    check_after: Callable[[FitSettings, FitSettings], None] = lambda _settings, _earlier: None
     of_repeat: Callable[[FitSettings, Sequence[Fit]], FitSettings] = lambda settings, _fits: settings
     of: str = RESPONSES
     keys: tuple[str, ...] = ("mass", "input", "output", "bands")

@@ -20,11 +20,13 @@ from typing import Any
 
 from labpipe import __version__
 from labpipe.artefacts.dataset_file import amount_of
+from labpipe.artefacts.digest import file_sha256
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.json_file import BAD_ENTRY, read_bytes
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
+from labpipe.project.run_record import days_of_runs, record_of_runs
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING
 from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
@@ -32,14 +34,15 @@ from labpipe.records.sections import section
 from labpipe.registry import nearest
 
 INDEX = ".labpipe-catalogue.sqlite"
-# Condition of the tests that gives a result's date; by default that of its file.
+# Condition of the tests that gives a result's date, and what gives it else.
 DATE = "date"
+BY_RUN, BY_FILE = "the record of runs", "the last change of its file, which is another in a copy"
 
 _TABLES = """
 CREATE TABLE result (
     id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT,
     version TEXT, date TEXT, tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER,
-    sources TEXT
+    sources TEXT, dated TEXT
 );
 CREATE TABLE value (
     id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
@@ -111,9 +114,9 @@ def _keep(connection: sqlite3.Connection, folder: Path) -> None:
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
-    """Read new and changed results, remove deleted ones; True if there were any."""
     before = connection.total_changes
     stamps = dict(connection.execute("SELECT path, stamp FROM result"))
+    runs = functools.cache(days_of_runs)
     here = {path.relative_to(folder).as_posix(): path for path in without_staging(folder.rglob(NAME))}
     remove = "DELETE FROM result WHERE path = ?"
     connection.execute("PRAGMA foreign_keys = ON")
@@ -127,20 +130,24 @@ def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
         stamp = f"{status.st_mtime_ns}:{status.st_size}:{status.st_ino}"
         if stamps.get(name) != stamp:
             connection.execute(remove, (name,))
-            _add(connection, name, path, stamp, time.strftime("%Y-%m-%d", time.localtime(status.st_mtime)))
+            record = record_of_runs(path.parent)
+            day = "" if record is None else runs(record).get(file_sha256(path), "")
+            dated, changed = BY_RUN if day else BY_FILE, time.gmtime(status.st_mtime)
+            day = day or time.strftime("%Y-%m-%d", changed)
+            _add(connection, name, path, {"stamp": stamp, "date": day, "dated": dated})
     connection.commit()
     return connection.total_changes != before
 
 
-def _add(connection: sqlite3.Connection, name: str, path: Path, stamp: str, file_date: str) -> None:
+def _add(connection: sqlite3.Connection, name: str, path: Path, given: dict[str, str]) -> None:
     try:
-        rows = _rows(read_identification(path), file_date)
+        rows = _rows(read_identification(path), given["date"])
     except (DataError, *BAD_ENTRY) as error:
         other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
-        rows = [("result", {"date": file_date, "verdict": "unreadable", "fault": cut(what)})]
+        rows = [("result", {"verdict": "unreadable", "fault": cut(what)})]
     (_, whole), *parts = rows
-    number = _insert(connection, "result", {"path": name, "stamp": stamp, **whole})
+    number = _insert(connection, "result", {"path": name, **given, **whole})
     for table, row in parts:
         _insert(connection, table, {"result": number, **row})
 
@@ -157,7 +164,7 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "date": dates[-1] if dates else file_date,
         "tests": len(conditions) if identification.dataset is None else identification.dataset.tests,
         "dataset": int(identification.dataset is not None),
-        "verdict": verdict(identification),
+        "verdict": identification.verdict,
         "warnings": ", ".join(sorted(_all_codes(identification))),
         "sources": " ".join(identification.digests),
     }
@@ -209,15 +216,6 @@ def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> 
     marks = ", ".join(f":{name}" for name in row)
     cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", row)
     return int(cursor.lastrowid or 0)
-
-
-def verdict(identification: Identification) -> str:
-    """Outcome of the rules in a word."""
-    if identification.failed:
-        return "incomplete"
-    if not identification.outcomes:
-        return "no rules"
-    return "accepted" if identification.accepted else "not accepted"
 
 
 def _all_codes(identification: Identification) -> set[str]:
@@ -277,7 +275,7 @@ class ResultRow:
 class ValueRow:
     """One parameter of one fit [SI]; *conditions* of its test, *amounts* of the numeric ones. random_error:
     without what given numbers add; changes: by each of these, as JSON. digests: of the files behind
-    it.
+    it. dated: by what, where not by the condition `date`.
     """
 
     path: str
@@ -301,6 +299,7 @@ class ValueRow:
     conditions: dict[str, str]
     amounts: dict[str, tuple[float, str]]
     digests: frozenset[str] = frozenset()
+    dated: str = ""
 
     @property
     def label(self) -> str:
@@ -319,7 +318,7 @@ class ValueRow:
 
 
 # What a value has beside its columns.
-NOT_COLUMNS = ("conditions", "amounts", "digests")
+NOT_COLUMNS = ("conditions", "amounts", "digests", "dated")
 VALUE_COLUMNS = tuple(field.name for field in fields(ValueRow) if field.name not in NOT_COLUMNS)
 
 # Columns of which no result lacks the number, though it may not be one.
@@ -345,19 +344,19 @@ def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
             clauses.append(f"v.{column} {_AMONG}")
             bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
     columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
-    sql = f"SELECT {columns}, r.sources, r.id FROM value v JOIN result r ON r.id = v.result"
+    sql = f"SELECT {columns}, r.sources, r.dated, r.id FROM value v JOIN result r ON r.id = v.result"
     rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound)
     of_test = functools.cache(functools.partial(_conditions, index))
     value_rows = []
-    for *row, sources, number in rows:
+    for *row, sources, dated, number in rows:
         # SQLite has no not-a-number.
         named = zip(VALUE_COLUMNS, row, strict=True)
         entries: dict[str, Any] = {
             name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
         }
         conditions, amounts = of_test(number, entries["test"])
-        digests = frozenset(sources.split())
-        value_rows.append(ValueRow(**entries, conditions=conditions, amounts=amounts, digests=digests))
+        entries |= {"conditions": conditions, "amounts": amounts, "digests": frozenset(sources.split())}
+        value_rows.append(ValueRow(**entries, dated="" if DATE in conditions else dated))
     return value_rows
 
 
@@ -426,7 +425,6 @@ def split_condition(text: str) -> tuple[str, str, str]:
 
 
 def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
-    """The SQL of one condition; ConfigError for an unreadable condition, or one without tests."""
     name, _, _ = split_condition(text)
     rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
     amounts = {written: (amount, unit) for written, amount, unit in rows}
@@ -460,7 +458,6 @@ def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> 
 
 
 def _is_so(amount: float, sign: str, limit: float) -> bool:
-    """Whether a comparison holds; amounts within the tolerance are equal."""
     if abs(amount - limit) <= SAME * max(abs(limit), SAME):
         return sign in ("=", ">=", "<=")
     return sign == "!=" or (amount > limit if sign.startswith(">") else sign[0] == "<" and amount < limit)

@@ -50,6 +50,8 @@ from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_lim
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
 _GIVEN = ("path", "date")
+# What gives the date of a test of many without the condition `date`.
+BY_RECORDING = "the last change of its first recording before it was evaluated"
 
 
 def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
@@ -90,7 +92,6 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
 
 
 def _choose(folder: Path, criteria: Filter) -> pa.Table:
-    """The rows with a value of the rigs and days asked for."""
     columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN} | {"source"}
     chosen = (part for part in dataset_file.parts(folder) if _may_hold(part, criteria))
     tables = [dataset_file.read_part(part, columns) for part in chosen]
@@ -142,11 +143,11 @@ def value_row(
         conditions=texts,
         amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
         digests=frozenset(filter(None, [row.get("source")])),
+        dated="" if DATE in texts else BY_RECORDING,
     )
 
 
 def _homes(index: sqlite3.Connection, folder: Path) -> dict[str, Path]:
-    """The folders of results with a dataset, by their names as lists show them."""
     rows = index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")
     return {Path(path).parent.as_posix(): (folder / path).parent for (path,) in rows}
 
@@ -165,7 +166,6 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
-    """A result whose dataset has a test at the conditions and of the days of the criteria."""
     return [row] if _at_conditions(_choose(home, criteria), criteria.where).num_rows else []
 
 
@@ -374,7 +374,6 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
 
 
 def _day(row: ValueRow) -> datetime.date | None:
-    """The day of a value; None for a condition `date` that is no date."""
     try:
         return datetime.date.fromisoformat(row.date[:10])
     except ValueError:

@@ -80,7 +80,6 @@ def _each(
 
 
 def _check_copies(tests: Iterable[str], work: Work) -> None:
-    """ConfigError for two tests of the same recordings, with the same values: they are one measurement."""
     first: dict[Any, str] = {}
     for test in tests:
         of_test = (fit for fit in work.fits if fit.test == test)

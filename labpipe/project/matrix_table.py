@@ -118,7 +118,6 @@ def rotor_sheets(
 
 
 def _sheet(number: int, what: str) -> str:
-    """A name of at most 31 characters, as spreadsheets allow."""
     return f"{number} {what}"[:31]
 
 

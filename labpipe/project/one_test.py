@@ -301,7 +301,6 @@ def _ready_sources(job: Job) -> list[SourceRef]:
 
 
 def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
-    """The references of raw files measured as they are read; None where they need `ingest`."""
     if (
         job.frf is None
         or job.test.recorded
@@ -394,7 +393,6 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
 
 
 def _check_unchanged(raw: Path, made: Path, recorded: Sequence[SourceRef], base: Path) -> None:
-    """DataError for a raw file that was written since and has other content. One may be gone."""
     if is_remote(raw) or not raw.exists() or raw.stat().st_mtime <= made.stat().st_mtime:
         return
     now = source_ref(raw, base)

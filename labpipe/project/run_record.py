@@ -13,7 +13,7 @@ import os
 import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import BAD_ENTRY
 from labpipe.artefacts.writing import is_remote, only_one, output_file, without_staging
 from labpipe.errors import ConfigError, DataError, cut
-from labpipe.project.catalogue import verdict
 from labpipe.records.identification import Identification
 
 RECORD = "labpipe-runs.jsonl"
@@ -90,7 +89,7 @@ def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
         _add(folder, pipeline, None, f"failed: {cut(what[0])}")
         raise
     identification = made[0] if made else None
-    outcome = "no result" if identification is None else verdict(identification)
+    outcome = "no result" if identification is None else identification.verdict
     _add(folder, pipeline, identification, outcome)
 
 
@@ -169,6 +168,13 @@ def _read(path: Path) -> tuple[list[Run], str]:
             raise DataError(f"line {number} is no run ({cut(str(error))})", path) from None
         digest = hashlib.sha256(line).hexdigest()
     return runs, digest
+
+
+def days_of_runs(path: Path) -> dict[str, str]:
+    """The day [UTC] of the first run that made a result, by the result's digest; none of a damaged record."""
+    with suppress(DataError):
+        return {run.digest: run.time[:10] for run in reversed(runs_of(path))}
+    return {}
 
 
 def faults_of_record(path: Path) -> list[str]:

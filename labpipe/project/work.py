@@ -103,8 +103,8 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
     """The settings with the result of the earlier fit that they begin with, or why it failed."""
     where = f"{work.pipeline.path}: identify.{settings.name}"
     earlier = settings.kind.earlier(settings)
+    named = next((fit for fit in work.pipeline.fits if fit.name == earlier), None)
     if earlier and not any(earlier in (fit.name, fit.test) for fit in fits):
-        named = next((fit for fit in work.pipeline.fits if fit.name == earlier), None)
         tests = {earlier} if named is None else {*named.test} or {failure.name for failure in work.failed}
         tests = {*tests, FIT_PREFIX + earlier}
         for failure in work.failed:
@@ -112,7 +112,10 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
                 what = f"it begins with '{earlier}', which has no result: {failure.message}"
                 raise FitError(what, where, "mend that one first")
     try:
-        return settings.kind.begin(settings, fits)
+        settings = settings.kind.begin(settings, fits)
+        if named is not None:
+            settings.kind.check_after(settings, named)
+        return settings
     except LabpipeError as error:
         error.where = error.where or where
         raise

@@ -338,6 +338,15 @@ class Identification:
         return not self.failed and all(outcome.passed for outcome in self.outcomes)
 
     @property
+    def verdict(self) -> str:
+        """Outcome of the rules in a word."""
+        if self.failed:
+            return "incomplete"
+        if not self.outcomes:
+            return "no rules"
+        return "accepted" if self.accepted else "not accepted"
+
+    @property
     def digests(self) -> frozenset[str]:
         """SHA-256 of the files behind the result."""
         return frozenset(source["sha256"] for source in self.sources)

@@ -225,8 +225,8 @@ class Blocks:
 
     degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives:
     in time of what was averaged, beyond those of the response's form; -2 for a transmissibility from an
-    accelerometer on the base and a probe on the mass. apart: every force has *number* blocks of its own, and
-    the noise of these.
+    accelerometer on the base and a probe on the mass. by_force: number of the blocks of each force, where one
+    alone acts in a recording; apart: its noise is that of these alone.
     """
 
     length: float
@@ -236,7 +236,15 @@ class Blocks:
     estimator: str
     degree: int = 0
     derivatives: int = 0
+    by_force: tuple[int, ...] = ()
     apart: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "by_force", tuple(self.by_force))
+
+    def of_forces(self, columns: Sequence[int]) -> Blocks:
+        """Those of the forces *columns*."""
+        return replace(self, by_force=tuple(self.by_force[n] for n in columns)) if self.by_force else self
 
 
 @dataclass(frozen=True, repr=False)
@@ -453,6 +461,7 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
         **parts,
         outputs=tuple(response.outputs[row] for row in rows),
         inputs=tuple(response.inputs[column] for column in columns),
+        blocks=response.blocks and response.blocks.of_forces(columns),
         covariance=None if variance is None else BlockCovariance.uncorrelated(part(variance)),
         multiple_coherence=None if multiple is None else multiple[:, rows],
         errors=tuple(MatrixError(error.uncertainty, part(error.change)) for error in response.errors),

@@ -117,6 +117,7 @@ def directional(response: FrequencyResponse) -> FrequencyResponse:
         covariance=covariance,
         outputs=ports,
         inputs=ports,
+        blocks=response.blocks and replace(response.blocks, by_force=(), apart=False),
         snr_channels=(),
         **nothing,
     )

@@ -198,6 +198,16 @@ def is_double(force: FloatArray, share: float) -> bool:
     return any(size[above[gap] : above[gap + 1]].min() < ENDED * share for gap in gaps)
 
 
+def noise_power(hit: Hit, force: int, lines: slice) -> float:
+    """Mean |X|^2 per sample [SI^2] of the force's noise about these *lines*, by the second half of what
+    follows the hit.
+    """
+    n_sample = len(hit.samples)
+    rest = hit.samples[(n_sample + hit.trigger) // 2 :, force]
+    first, last = (end * rest.size // n_sample for end in (lines.start, lines.stop))
+    return float(np.mean(np.abs(fft.rfft(rest - np.mean(rest))[first : last + 1]) ** 2)) / rest.size
+
+
 def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
     """Force window: one up to *length* [samples] before and after the hit, then half a cosine to zero within
     a tenth of it, (n_sample,).
@@ -223,6 +233,7 @@ def check_single_force(source: SampleSource) -> int:
     return forces[0]
 
 
+WINDOW = "give `impact: {force_window: ...}`"
 # Standard errors of a gain common to all lines by which noise of the force may move it without a word.
 MOST_COMMON = 0.5
 # Relative standard deviation of an FRF below which its scatter is rounding.
@@ -270,24 +281,32 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     chosen = lines_left(parts.frequency, settings)
     parts = _select(replace(parts, findings=(*findings, *parts.findings)), chosen)
     errors = [average.force_noise()[chosen] for average in averages]
-    windowed = settings.impact.force_window is not None
-    findings = list(force_noise_findings(parts, errors, layout, windowed))
-    return replace(parts, findings=(*parts.findings, *findings))
+    what, hint = "after its hits makes H low by", WINDOW
+    if settings.impact.force_window is not None:
+        what, hint = (
+            "within its window moves H by",
+            "shorten `force_window` to a little more than the contact",
+        )
+    return replace(
+        parts, findings=(*parts.findings, *force_noise_findings(parts, errors, layout, what, hint))
+    )
 
 
 def force_noise_findings(
-    parts: Parts, errors: Sequence[FloatArray], layout: Layout, windowed: bool
+    parts: Parts, errors: Sequence[FloatArray], layout: Layout, what: str, hint: str
 ) -> Iterator[Finding]:
     """A warning of every force whose noise moves H, alike at all lines, by more than MOST_COMMON standard
-    errors of a gain common to all lines. *errors* of each recording's force, relative, (n_line,) [1] each.
-    With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
+    errors of a gain common to all lines; *what* it does, and the *hint*. *errors* of each recording's force,
+    relative, (n_line,) [1] each. With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
     """
     if parts.covariance is None:
         return
     stored = parts.covariance
     variance = np.einsum("lii->li", stored).real if isinstance(stored, np.ndarray) else stored.variance
     size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
-    precision = size / np.maximum(variance.reshape(size.shape), ROUNDING**2 * size)
+    precision = size / np.maximum(
+        variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
+    )
     forces = [max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns]
     for force in dict.fromkeys(forces):
         of_force = [error for error, number in zip(errors, forces, strict=True) if number == force]
@@ -295,17 +314,13 @@ def force_noise_findings(
         total = np.maximum(np.sum(weights, axis=0), np.finfo(float).tiny)
         common = float(np.max(error @ weights * np.sqrt(2 / total), initial=0.0))
         if common > MOST_COMMON:
-            what, hint = (
-                ("within its window moves H by", "shorten `force_window` to a little more than the contact")
-                if windowed
-                else ("after its hits makes H low by", "give `impact: {force_window: ...}`")
-            )
-            yield Finding(
-                "force-noise",
-                f"noise of the force {layout.inputs[force].label} {what} {100 * np.median(error):.2g} % "
-                f"(median over the lines), {common:.2g} standard errors of a gain that all lines have in "
-                f"common; {hint}",
-            )
+            yield force_noise(f"noise of the force {layout.inputs[force].label} {what}", error, common, hint)
+
+
+def force_noise(what: str, error: FloatArray, common: float, hint: str = WINDOW) -> Finding:
+    """The warning of an *error* of H (n_line, ...) [1] alike at all lines."""
+    size = f"{100 * np.median(error):.2g} % (median over the lines), {common:.2g} standard errors"
+    return Finding("force-noise", f"{what} {size} of a gain that all lines have in common; {hint}")
 
 
 def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAverage], Layout]:
@@ -391,12 +406,9 @@ class _HitAverage:
         return force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
 
     def _noise_power(self, hit: Hit) -> float:
-        """Mean |X|^2 of the force's noise under its windows, by the second half of what follows the hit."""
-        rest = hit.samples[(self.n_sample + hit.trigger) // 2 :, self.force]
-        ends = np.array([self._lines.start, self._lines.stop]) * rest.size // self.n_sample
-        lines = slice(ends[0], ends[1] + 1)
-        power = float(np.mean(np.abs(fft.rfft(rest - np.mean(rest))[lines]) ** 2)) / rest.size
-        return power * float(np.sum((self._force_window(hit) * self._exponential) ** 2))
+        """Mean |X|^2 of the force's noise under its windows."""
+        windows = self._force_window(hit) * self._exponential
+        return noise_power(hit, self.force, self._lines) * float(np.sum(windows**2))
 
     def force_noise(self) -> FloatArray:
         """Relative error (n_line,) [1] of the mean force by its noise that is alike at many lines: its share

@@ -18,8 +18,14 @@ from labpipe.records.response import Blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
-from labpipe.spectra.random import blocks_of, change_of_random, levels_of, shares_of, welch_average
-from labpipe.spectra.random_lines import check_moved, check_recorded, due_to_drives, lower_of_drives
+from labpipe.spectra.random import blocks_of, change_of_random, shares_of, welch_average
+from labpipe.spectra.random_lines import (
+    check_moved,
+    check_recorded,
+    due_to_drives,
+    lower_of_drives,
+    noise_by_drive,
+)
 from labpipe.spectra.settings import FrfSettings
 
 # Neighbours on either side that tell the FRF of a line.
@@ -164,7 +170,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     matrix = np.asarray(sum(parts))
     estimate = joint_estimate(matrix, references, n_input, averages)
     findings = _strength_findings(estimate, frequency, settings, layout)
-    noise = _noise_by_reference(estimate.noise, matrix, parts, [part.averages for part in spectra], n)
+    noise = noise_by_drive(estimate.noise, matrix, parts, [part.averages for part in spectra], n)
     covariance = covariance_by_neighbours(frequency, estimate.matrix, estimate.columns, noise, GAP)
     open_loop = open_loop_estimate(matrix[:, n:, n:], n_input)
 
@@ -183,26 +189,6 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         change=change_of_random(halved, whole, chosen, response_of, n + 2),
         open_loop=open_loop,
     )
-
-
-def _noise_by_reference(
-    noise: ComplexArray,
-    spectra: ComplexArray,
-    parts: Sequence[ComplexArray],
-    averages: Sequence[float],
-    n_reference: int,
-) -> list[ComplexArray]:
-    """The *noise* (n_line, n, n) [unit^2/Hz] in what each reference moves: that of every recording by its
-    share in the reference's power. *parts* of the *spectra* (n_line, n_channel, n_channel), references first.
-    """
-    reference = spectra[:, :n_reference, :n_reference]
-    inverse, white = np.linalg.inv(reference), np.linalg.inv(np.linalg.cholesky(reference))
-    levels = levels_of(parts, spectra[:, n_reference:, :n_reference] @ inverse, inverse, averages)
-    gain = np.zeros((n_reference, *noise.shape))
-    for part, size in zip(parts, np.sqrt(levels.T), strict=True):
-        moved = white @ part[:, :n_reference, :n_reference] @ hermitian(white)
-        gain += np.einsum("lrr,a,b->rlab", moved.real, size, size)
-    return list(noise * gain)
 
 
 def check_references(sources: Sequence[SampleSource], settings: FrfSettings) -> None:

@@ -173,30 +173,37 @@ class LocalNoise:
     """What a local rational FRF leaves of every line: noise (n_line, n_output, n_output) [output unit^2] of
     one block. leakage (n_line, n_block, n_output) [output unit], its variance over that of the noise *spread*
     (n_line, n_block, n_output) [1]; of_blocks (n_line, n_block, n_output) [output unit^2]: what each block
-    leaves; *dof* complex degrees of freedom of the noise of a line, *width* the number of lines they come
-    from.
+    leaves; *dof* complex degrees of freedom of the noise of a line, of which *free* (n_block,) are those of
+    each block beside its leakage; *width* the number of lines they come from.
     """
 
     noise: ComplexArray
     leakage: ComplexArray
     spread: FloatArray
     of_blocks: FloatArray
-    dof: int
+    dof: float
+    free: FloatArray
     width: int
 
 
-def local_noise(forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int) -> LocalNoise:
+def local_noise(
+    forces: ComplexArray, responses: ComplexArray, degree: int, half_width: int, filled: FloatArray
+) -> LocalNoise:
     """Noise and leakage of *responses* (n_block, n_line, n_output) [output unit] to *forces* (n_block,
     n_line, n_input) [N]. Both are transforms without window. Every output has its own pole, which all blocks
     share as they share B; each block has its own leakage T, of which T(0) is the value at the line. The first
-    and the last half_width lines are left out. Equation (frf-local-rational).
+    and the last half_width lines are left out. *filled* (n_block,) [1]: share of a block before its zeros,
+    which has this share of the noise of a whole one, and of its independent lines. Equation
+    (frf-local-rational).
     """
     parts = [_around_lines(u, y, degree, half_width) for u, y in _pieces(forces, responses, half_width)]
     noise: ComplexArray
     noise, leakage, spread, of_blocks = (np.concatenate(part) for part in zip(*parts, strict=True))
-    # As of local polynomials, less one for the pole.
-    dof = freedom(forces.shape[0], forces.shape[2], degree, half_width) - 1
-    return LocalNoise(noise / dof, leakage, spread, of_blocks, dof, 2 * half_width + 1)
+    # Leakage takes noise at both ends of a block, of which zeros hold none. One is for the pole.
+    width, taken = 2 * half_width + 1, degree + 1
+    free = filled * width - np.maximum(taken / 2, taken - (1 - filled) * width / 2)
+    dof = float(free.sum()) - taken * forces.shape[2] - 1
+    return LocalNoise(noise / dof, leakage, spread, of_blocks, dof, free, width)
 
 
 def _around_lines(

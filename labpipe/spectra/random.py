@@ -124,8 +124,10 @@ INSTRUMENTS: dict[str, Callable[[ComplexArray, FloatArray], ComplexArray]] = {
 }
 
 # Variance of a fit with estimated weights over that with known ones, up to which every force keeps its own
-# noise (Equation (est-weights)); shortest over longest of recordings that count as equally long.
-MOST_LOST, ABOUT_EQUAL = 2.0, 0.9
+# noise (Equation (est-weights)); least of the degrees of freedom of one over the most.
+MOST_LOST, LEAST_SHARE = 2.0, 0.5
+# Coherence of the noise of two responses above which they share it, as leakage of one force.
+MOST_SHARED = 0.1
 # A record of which the spectra of the whole and of its first half are known; None where that is too short. Of
 # the half the columns of the forces may be all there is.
 Halved = tuple[CrossSpectra, CrossSpectra | None]
@@ -245,9 +247,11 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     ]
     spectra = [whole for whole, _ in halved]
     blocks = blocks_of(spectra, settings, settings.estimator, layout.derivatives)
-    apart = settings.estimator == "H1" and layout.one_force_each and known_by_force(spectra, layout)
-    if apart:
-        blocks = replace(blocks, number=blocks.number // len(layout.inputs), apart=True)
+    single = settings.estimator == "H1" and layout.one_force_each
+    apart = single and known_by_force(spectra, layout)
+    if single:
+        of_force = np.array([spectrum.n_block for spectrum in spectra]) @ _acting(layout)
+        blocks = replace(blocks, by_force=tuple(map(int, of_force)), apart=apart)
     parts = parts_of_spectra(spectra, settings, layout, apart=apart)
     n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
     change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
@@ -401,7 +405,8 @@ def parts_of_single_forces(
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
     numbers of blocks. The noise of the responses, S_yy - H S_uy, is that of a force's own recordings where
     *apart*: leakage differs from force to force and from line to line. Else it is that of all, averaged over
-    *half_width* lines around, and raised or lowered where a force's recordings have another level.
+    *half_width* lines around, and raised or lowered where a force's recordings have another level of noise
+    that the responses do not share.
     cov(H_oi, H_pi) = S_rr,i[o, p] / power_i, a block for every force. DataError for a force without power.
     """
     power, s_yu, by_force = _sum(spectra, chosen, layout)
@@ -415,9 +420,12 @@ def parts_of_single_forces(
         noise = without_rounding(by_force - np.einsum("loi,lpi,li->liop", s_yu, s_yu.conj(), 1 / power))
         freedoms = _freedoms(spectra, layout)
         if apart:
-            dof, freedoms = float(np.min(freedoms)), freedoms[:, None, None]
+            dof, freedoms = _common_freedom(freedoms, len(layout.outputs)), freedoms[:, None, None]
         else:
-            size = np.sqrt(noise_levels(np.einsum("lioo->loi", noise).real, freedoms)).T
+            left = np.einsum("lioo->loi", noise).real
+            # Levels of every response would turn what all of them share.
+            is_shared = common_share(noise, freedoms) > MOST_SHARED
+            size = np.ones((n_input, left.shape[1])) if is_shared else np.sqrt(noise_levels(left, freedoms)).T
             pooled = pooled_residual(noise.sum(axis=1), response, half_width)
             noise, freedoms = pooled[:, None] * (size[:, :, None] * size[:, None, :]), np.array(dof)
         elements = np.arange(response[0].size).reshape(-1, n_input).T
@@ -432,18 +440,42 @@ def parts_of_single_forces(
 
 
 def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
-    """Whether the recordings of every force, about equally long, tell its noise so well that weights by it
-    make the variance of a fit no more than MOST_LOST times as large.
+    """Whether the recordings of every force, of which none has much less than another, tell its noise so well
+    that weights by it make the variance of a fit no more than MOST_LOST times as large.
     """
     dof, n_output = _freedoms(spectra, layout), len(layout.outputs)
     least = float(np.min(dof))
     known = least > n_output and least**2 <= MOST_LOST * ((least - n_output) ** 2 - 1)
-    return known and least >= ABOUT_EQUAL * float(np.max(dof))
+    return known and least >= LEAST_SHARE * float(np.max(dof))
+
+
+def _common_freedom(freedoms: FloatArray, n_output: int) -> float:
+    """nu of which nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces."""
+    excess = float(np.mean(freedoms / (freedoms - n_output)))
+    return n_output * excess / (excess - 1)
 
 
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
     """Degrees of freedom (n_input,) of the noise in the recordings of every force."""
-    return np.array([spectrum.averages for spectrum in spectra]) @ (np.array(layout.input_columns) >= 0) - 1
+    return np.array([spectrum.averages for spectrum in spectra]) @ _acting(layout) - 1
+
+
+def common_share(noise: ComplexArray, freedoms: FloatArray) -> float:
+    """Mean squared coherence [1] of responses' *noise* (n_line, n_input, n_output, n_output) [any unit], less
+    what chance gives of *freedoms* (n_input,) complex degrees of freedom; 0 of one response.
+    """
+    n_output, told = noise.shape[2], freedoms > 1
+    if n_output == 1 or not np.any(told):
+        return 0.0
+    power = np.einsum("lioo->lio", noise).real
+    whole = power[..., None] * power[..., None, :]
+    squared = np.divide(np.abs(noise) ** 2, whole, out=np.zeros_like(whole), where=whole > 0).mean(axis=0)
+    coherence = (squared.sum(axis=(1, 2)) - n_output) / (n_output * (n_output - 1))
+    return float(np.sum((coherence * freedoms - 1)[told]) / np.sum(freedoms[told] - 1))
+
+
+def _acting(layout: Layout) -> BoolArray:
+    return np.array(layout.input_columns) >= 0
 
 
 def _sum(

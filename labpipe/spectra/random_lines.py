@@ -20,7 +20,7 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
-from labpipe.spectra.random import block_average, blocks_of
+from labpipe.spectra.random import block_average, blocks_of, levels_of
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
@@ -113,9 +113,9 @@ def random_lines(
     spectra = [_welch(source, settings, layout, number, drives) for number, source in enumerate(sources)]
     chosen = lines_left(spectra[0].frequency, settings)
     weights = np.array([spectrum.n_block for spectrum in spectra], float)
-    matrix = np.tensordot(
-        weights / weights.sum(), np.stack([spectrum.matrix[chosen] for spectrum in spectra]), axes=1
-    )
+    weights /= weights.sum()
+    parts = [weight * spectrum.matrix[chosen] for weight, spectrum in zip(weights, spectra, strict=True)]
+    matrix = np.asarray(sum(parts))
     averages = sum(spectrum.averages for spectrum in spectra)
     frequency = spectra[0].frequency[chosen]
     n, n_drive = len(layout.recorded), len(drives)
@@ -127,15 +127,20 @@ def random_lines(
     s_zr = transform @ matrix[:, :n, n:]
     s_zz = transform @ matrix[:, :n, :n] @ hermitian(transform)
     columns, left = due_to_drives(s_zz, s_zr, lower, averages)
-    residual, share = left, weights / weights.sum() @ (np.array(layout.columns) >= 0)
-    if np.any(share < 1):
-        # Recordings without a channel are zeros in the mean, which is the noise of the others.
-        recorded = due_to_drives(matrix[:, :n, :n], matrix[:, :n, n:], lower, averages)[1]
-        residual = transform @ (recorded / np.sqrt(np.outer(share, share))) @ hermitian(transform)
+    share = weights @ (np.array(layout.columns) >= 0)
+    # Recordings without a channel are zeros in the mean, which is the noise of the others.
+    noise = due_to_drives(matrix[:, :n, :n], matrix[:, :n, n:], lower, averages)[1]
+    noise /= np.sqrt(np.outer(share, share))
+    by_drive = [noise] * n_drive
+    if np.all(share == 1):
+        first = [*range(n, n + n_drive), *range(n)]
+        whole, *rest = (part[:, first][:, :, first] for part in (matrix, *parts))
+        by_drive = noise_by_drive(noise, whole, rest, [spectrum.averages for spectrum in spectra], n_drive)
+    residual = np.stack([transform @ moved @ hermitian(transform) for moved in by_drive], axis=1)
     # The amplitude, 0 to peak, of the lines of one block.
     assert settings.block is not None
     width = 2 / settings.block
-    covariance = np.repeat((residual * (width / averages))[:, None], n_drive, axis=1)
+    covariance = residual * (width / averages)
     vectors = np.sqrt(width) * columns.swapaxes(1, 2)
     excited = np.zeros(vectors.shape, bool)
     excited[:, :, layout.inputs] = (
@@ -144,8 +149,8 @@ def random_lines(
     findings, weak = snr_findings(vectors, covariance, layout.channels, excited)
     for number in layout.inputs:
         moved = np.linalg.norm(columns[:, number], axis=1)
-        noise = np.sqrt(residual[:, number, number].real / averages)
-        strength = np.divide(moved, noise, out=np.full(moved.shape, np.inf), where=moved > 0)
+        error = np.sqrt(residual[:, :, number, number].real.mean(axis=1) / averages)
+        strength = np.divide(moved, error, out=np.full(moved.shape, np.inf), where=moved > 0)
         check_moved(strength, frequency, drives, [layout.channels[number].name])
     forces, responses = (
         [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
@@ -232,6 +237,33 @@ def due_to_drives(
     """
     columns = hermitian(np.linalg.solve(lower, hermitian(s_zr)))
     return columns, (s_zz - columns @ hermitian(columns)) * (averages / (averages - lower.shape[1]))
+
+
+def noise_by_drive(
+    noise: ComplexArray,
+    spectra: ComplexArray,
+    parts: Sequence[ComplexArray],
+    averages: Sequence[float],
+    n_drive: int,
+) -> list[ComplexArray]:
+    """The *noise* (n_line, n, n) [unit^2/Hz] in what each drive moves: that of every recording, at a level of
+    all its channels, by its share in the drive's power. *parts* of the *spectra* (n_line, n_channel,
+    n_channel), drives first.
+    """
+    drives = spectra[:, :n_drive, :n_drive]
+    inverse, white = np.linalg.inv(drives), np.linalg.inv(np.linalg.cholesky(drives))
+    levels = levels_of(parts, spectra[:, n_drive:, :n_drive] @ inverse, inverse, averages)
+    # What channels share would be turned by a level of each: what a channel has beyond the mean is its own.
+    mean = levels.mean(axis=0)
+    shares = [
+        np.einsum("lrr->rl", white @ part[:, :n_drive, :n_drive] @ hermitian(white)).real for part in parts
+    ]
+    common, own = np.tensordot(mean, shares, 1), np.tensordot(np.maximum(levels - mean, 0), shares, 1)
+    alone = noise * np.eye(noise.shape[1])
+    return [
+        noise * of[:, None, None] + alone * more.T[:, None]
+        for of, more in zip(common, own.swapaxes(0, 1), strict=True)
+    ]
 
 
 def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "drive") -> ComplexArray:

@@ -4,6 +4,7 @@ lines around each line.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,8 +20,10 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_parts, noise_levels, pooled_residual
+from labpipe.spectra.impact import force_noise_findings
 from labpipe.spectra.local import LocalNoise, check_half_width, local_noise, usual_half_width
 from labpipe.spectra.matrices import hermitian
+from labpipe.spectra.period_average import neighbourhood_mean
 from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
@@ -39,8 +42,15 @@ AT_REST, NOISE_ALONE = 0.02, 1.5
 LEAST_SHARE, AROUND = 0.1, 101
 
 
-# Share of the widest band below which a sweep is left out: the record begins or ends within it.
+# Share of the widest band below which a sweep is left out: the record begins or ends within it. Share of the
+# longest block above which one counts as whole.
 WHOLE = 0.9
+
+
+# Lines to either side over which two sweeps are coherent but for noise, and pairs that are looked at.
+COHERENT, MOST_PAIRS = 8, 12
+# Times of a block and lines to either side by which its zeros are told.
+TIMES, FURTHEST = 512, 8
 
 
 # Parts of a block; a burst is one with this share of its noise, and this many times the usual power (white
@@ -65,13 +75,14 @@ class _Swept:
 @dataclass(frozen=True)
 class _Spectra:
     """Transforms *blocks* (n_block, n_line, n_channel) [unit of the channel] of all sweeps, forces first, on
-    *frequency* (n_line,) [Hz]. local: noise and leakage of the same lines by a local fit; leaking: whether
-    leakage was found, and taken out of the responses; hidden: power (n_line, n_output) [unit^2] of what may
-    be left of it in a block.
+    *frequency* (n_line,) [Hz]; *filled* (n_block,) [1] of each before its zeros. local: noise and leakage of
+    the same lines by a local fit; leaking: whether leakage was found, and taken out of the responses; hidden:
+    power (n_line, n_output) [unit^2] of what may be left of it in a block.
     """
 
     frequency: FloatArray
     blocks: ComplexArray
+    filled: FloatArray
     local: LocalNoise
     leaking: bool = False
     hidden: FloatArray | None = None
@@ -91,7 +102,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     """The FRF H = Y pinv(U) from transforms of every sweep with all that rings after it, on the lines that
     all of them pass. Leakage of a response that has not come to rest is estimated by a local rational fit and
     taken out. DataError for recordings without sweeps, with fewer sweeps than forces, or without a band in
-    common. Equation (frf-sweep).
+    common. Equations (frf-sweep) and (frf-zeros).
     """
     rate = sources[0].sample_rate
     swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
@@ -108,7 +119,9 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
     if band[0] >= band[1]:
         raise DataError("the sweeps have no band in common", hint="one test for each band")
-    spectra = _in_band(blocks, rate / n_sample, band, n_input, settings)
+    filled = np.array([(stop - start) / n_sample for run in swept for start, stop in run.cuts])
+    filled[filled > WHOLE] = 1.0
+    spectra = _in_band(blocks, filled, rate / n_sample, band, n_input, settings)
     spectra = spectra.select(
         lines_left(spectra.frequency, settings) & _driven_lines(spectra.blocks[:, :, :n_input])
     )
@@ -117,7 +130,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
         spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
     recorded = np.repeat(np.arange(len(swept)), [len(run.cuts) for run in swept])
-    parts = _with_repeats(_parts(spectra, layout, recorded, settings.degree), spectra, sweeps)
+    parts = _with_repeats(_parts(spectra, layout, recorded), spectra, sweeps)
     assert parts.multiple_coherence is not None
     rates = rate_findings(
         spectra.frequency,
@@ -129,8 +142,12 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         leaking=spectra.leaking,
     )
     bursts = _bursts(spectra, swept, layout, n_sample, rate)
+    lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
+    low = _low_by_noise(spectra.blocks, lines, swept, layout, n_sample)
+    what, hint = "in repeated sweeps makes H low by", "average less of it: a better sensor, or more force"
+    noisy = force_noise_findings(parts, low, layout, what, hint)
     return replace(
-        parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *bursts, *rates)
+        parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *noisy, *bursts, *rates)
     )
 
 
@@ -195,7 +212,12 @@ def _with_repeats(parts: Parts, spectra: _Spectra, sweeps: Sequence[FoundSweep])
 
 
 def _in_band(
-    blocks: ComplexArray, spacing: float, band: tuple[float, float], n_input: int, settings: FrfSettings
+    blocks: ComplexArray,
+    filled: FloatArray,
+    spacing: float,
+    band: tuple[float, float],
+    n_input: int,
+    settings: FrfSettings,
 ) -> _Spectra:
     n_block, n_line, _ = blocks.shape
     # One line more than for polynomials alone makes up for the pole.
@@ -203,6 +225,8 @@ def _in_band(
     usual = 1 + usual_half_width(min(n_block, n_input), n_input, settings.degree)
     half_width = settings.half_width or usual
     check_half_width(half_width, n_block, n_input, settings.degree, 1)
+    # Of the shortest block so many lines are independent.
+    half_width = round(half_width / float(filled.min()))
     frequency = np.arange(1, n_line + 1) * spacing
     inside = lines_in(frequency, band) & lines_in(frequency, settings.band)
     inside[:half_width] = inside[n_line - half_width :] = False
@@ -214,8 +238,8 @@ def _in_band(
         )
         raise DataError(what, hint="a wider `band`, or longer sweeps")
     around = blocks[:, numbers[0] - half_width : numbers[-1] + half_width + 1]
-    local = local_noise(around[:, :, :n_input], around[:, :, n_input:], settings.degree, half_width)
-    return _Spectra(frequency[inside], blocks[:, inside], local)
+    local = local_noise(around[:, :, :n_input], around[:, :, n_input:], settings.degree, half_width, filled)
+    return _Spectra(frequency[inside], blocks[:, inside], filled, local)
 
 
 def _driven_lines(forces: ComplexArray) -> BoolArray:
@@ -323,40 +347,45 @@ def _leaks(spectra: _Spectra) -> bool:
     return bool(np.any(mean > max(LEAKING, 1 + SURELY * error)))
 
 
-def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray, degree: int) -> Parts:
+def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray) -> Parts:
     """The FRF by least squares over blocks, of recordings with the numbers *recorded* (n_block,)."""
     n_input, n_block, local = len(layout.inputs), len(spectra.blocks), spectra.local
+    filled = spectra.filled
     channels = spectra.blocks.transpose(1, 2, 0)
     forces, responses = channels[:, :n_input], channels[:, n_input:]
     inverse = force_inverse(forces, layout)
     matrix = responses @ inverse
     # Of noise s (n_block,) beside what is common to all (free - 2 shared diag(P) + shared |P|^2) s is left.
     projection = inverse @ forces
-    leverage, free = np.einsum("lbb->lb", projection).real, local.width - degree - 1
-    shared = (n_block * free - local.dof) / n_input
-    left = np.diag(free - 2 * shared * leverage.mean(axis=0)) + shared * np.mean(abs(projection) ** 2, axis=0)
-    of_blocks = np.linalg.solve(left, local.of_blocks) * (local.dof / n_block)
+    leverage = np.einsum("lbb->lb", projection).real
+    shared = (local.free.sum() - local.dof) / n_input
+    left = np.diag(local.free - 2 * shared * leverage.mean(axis=0))
+    left += shared * np.mean(abs(projection) ** 2, axis=0)
+    of_blocks = np.linalg.solve(left, local.of_blocks) * (local.dof * filled / filled.sum())[:, None]
     # Blocks by their recording, and the force that is at its strongest.
     size = np.mean(np.abs(forces) ** 2, axis=0)
     strongest = np.argmax(size / np.max(size, axis=1, keepdims=True), axis=0)
     groups = np.unique(n_input * recorded + strongest, return_inverse=True)[1]
     blocks_of = np.eye(groups.max() + 1)[groups]
     levels = noise_levels(
-        of_blocks.swapaxes(1, 2) @ blocks_of, blocks_of.mean(axis=0) * local.dof / local.width
+        of_blocks.swapaxes(1, 2) @ blocks_of, filled @ blocks_of / filled.sum() * local.dof / local.width
     )
     noise, per_line, width = _noise(spectra, responses - matrix @ forces, n_input)
     if n_block > n_input:
-        scale = np.sqrt((n_block - n_input) / ((1 - leverage) @ blocks_of @ levels.T))
-        noise = noise * scale[:, :, None] * scale[:, None, :]
+        scale = np.sqrt((n_block - n_input) / (((1 - leverage) * filled) @ blocks_of @ levels.T))
+        noise, per_line = noise * scale[:, :, None] * scale[:, None, :], per_line * float(filled.mean())
     half_width = next(n for n in range(1000) if per_line * _lines_averaged(width, n) >= ENOUGH_DOF)
     noise = pooled_residual(noise, matrix, half_width)
     if spectra.hidden is not None:
         # As a rule alike in all sweeps: more of them do not average it.
         noise = noise + n_block / n_input * spectra.hidden[:, :, None] * np.eye(matrix.shape[1])
-    spread = np.einsum("lbi,lbj,be->leij", inverse, inverse.conj(), blocks_of, optimize=True)
+    noisy = filled[:, None] * blocks_of
+    spread = np.einsum("lbi,lbj,be->leij", inverse, inverse.conj(), noisy, optimize=True)
     covariance = covariance_of_parts(noise, spread, levels)
+    weights = np.mean(np.abs(inverse) ** 2, axis=0).T * filled * (blocks_of @ levels.mean(axis=0))
+    correlation, gains = _shared_lines(filled, weights, matrix.shape)
     power: FloatArray = np.mean(np.abs(responses) ** 2, axis=2)
-    noise_power = np.einsum("loo->lo", noise).real
+    noise_power = np.einsum("loo->lo", noise).real * filled.mean()
     coherence: FloatArray = np.clip(
         1 - np.divide(noise_power, power, out=np.ones_like(power), where=power > 0), 0.0, 1.0
     )
@@ -369,7 +398,32 @@ def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray, degree: int) -
         findings=coherence_findings(coherence, power, layout),
         coherence=coherence[:, :, None] if n_input == 1 else None,
         multiple_coherence=coherence,
+        line_correlation=correlation,
+        line_gains=gains,
     )
+
+
+def _shared_lines(
+    filled: FloatArray, weights: FloatArray, shape: tuple[int, ...]
+) -> tuple[tuple[complex, ...], ComplexArray | None]:
+    """Correlation and gains of lines, as of Parts, of noise in *filled* (n_block,) [1] of every block: white
+    in time there, zero after. *weights* (n_input, n_block): shares of the blocks in the noise of the FRFs of
+    every force; *shape* of the matrix.
+    """
+    if np.all(filled == 1):
+        return (), None
+    time, number = (np.arange(TIMES) + 0.5) / TIMES - 0.5, np.arange(FURTHEST + 1)
+    of_force = weights / weights.sum(axis=1, keepdims=True) / filled @ (np.abs(time) < filled[:, None] / 2)
+    whole, waves = of_force.mean(axis=0), np.cos(2 * np.pi * time[:, None] * number) / TIMES
+    correlation = tuple(complex(value) for value in (whole @ waves)[1:])
+    if len(weights) == 1:
+        return correlation, None
+    half = np.sqrt(of_force / whole) @ waves
+    gains = np.concatenate([half[:, :0:-1], half], axis=1)
+    size = TIMES * (half * np.where(number, 2, 1)) @ waves.T
+    gains /= np.sqrt(np.mean(size**2 * whole, axis=1))[:, None]
+    shape = shape[0], gains.shape[1], *shape[1:]
+    return correlation, np.broadcast_to(gains.T[:, None], shape).astype(np.complex128)
 
 
 def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[ComplexArray, float, int]:
@@ -426,6 +480,37 @@ def _bursts(
         "resonances; lower the force there, or sweep the others alone"
     )
     return (Finding("burst", what),)
+
+
+def _low_by_noise(
+    blocks: ComplexArray, lines: IntArray, swept: Sequence[_Swept], layout: Layout, n_sample: int
+) -> list[FloatArray]:
+    """How low least squares make H by noise n in the power s + n of a recording's force, (n_line,) [1] each:
+    (1 - 1 / n_block) n / s. Repeated sweeps, alike but for a delay, have the coherence s / (s + n) over lines
+    around; 0 without any, and where several forces act.
+    """
+    forces = blocks[:, :, : len(layout.inputs)]
+    size, every = np.sum(np.abs(forces) ** 2, axis=1), np.ones(lines.size, bool)
+    sweeps = [sweep for run in swept for sweep in run.sweeps]
+    low: dict[int, FloatArray] = {}
+    for force, of_force in enumerate((size == size.sum(axis=1, keepdims=True)).T):
+        pairs = itertools.combinations(np.flatnonzero(of_force), 2)
+        alike = (list(pair) for pair in pairs if sweeps[pair[0]].is_like(sweeps[pair[1]]))
+        found = []
+        for pair in itertools.islice(alike, MOST_PAIRS):
+            u, v = forces[pair, :, force]
+            cross = np.zeros(n_sample, np.complex128)
+            cross[lines] = u * v.conj()
+            late = int(np.argmax(np.abs(fft.ifft(cross))))
+            cross = cross[lines] * np.exp(2j * np.pi * lines * late / n_sample)
+            means = (neighbourhood_mean(x, every, COHERENT) for x in (cross, np.abs(u) ** 2, np.abs(v) ** 2))
+            shared, one, other = means
+            found.append(np.sqrt(one * other) / np.abs(shared) - 1)
+        if found:
+            low[force] = np.mean(found, axis=0) * (1 - 1 / np.count_nonzero(of_force))
+    nothing = np.zeros(lines.size)
+    of_runs = (max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns)
+    return [low.get(force, nothing) for force in of_runs]
 
 
 def _lines_averaged(width: int, half_width: int) -> float:

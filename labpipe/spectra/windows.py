@@ -154,14 +154,18 @@ class LeakageKernel:
         """|W|^2, (n_point,) [1]: the mean of H over the points is the expected H1."""
         return self.amplitude**2
 
-    def shifts(self) -> list[tuple[float, ComplexArray]]:
-        """(weight [1], phases (n_point,) [1]) of the pairs of blocks that overlap: 1 - |t| / K, and exp(j v t
-        step).
+    def shifts(self) -> list[tuple[FloatArray, ComplexArray]]:
+        """(weights (n_input or 1, 1) [1], phases (n_point,) [1]) of pairs of blocks that overlap: exp(j v t
+        step), and (1 - |t| / K) / K of the K blocks of each force.
         """
         step = 1 - self.blocks.overlap
-        most = min(int(np.ceil(1 / step)) - 1, self.blocks.number - 1)
+        number = np.array(self.blocks.by_force or (self.blocks.number,))[:, None]
+        most = min(int(np.ceil(1 / step)), number.max()) - 1
         return [
-            (1 - abs(t) / self.blocks.number, np.exp(2j * np.pi * self.offsets * (t * step / POINTS)))
+            (
+                np.maximum(1 - abs(t) / number, 0.0) / number,
+                np.exp(2j * np.pi * self.offsets * (t * step / POINTS)),
+            )
             for t in range(-most, most + 1)
         ]
 

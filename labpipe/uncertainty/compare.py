@@ -69,7 +69,7 @@ def _power(campaign: Campaign) -> Comparison:
     x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = fit.amount("exponent", "1", 1)
-    level = from_log("level", campaign.unit, float(fit.values[0]), fit.std_error(0), fit.quantile(0))
+    level = from_log("level", campaign.unit, *fit.stated())
     settings = campaign.settings
     amount = display.amount_text(level.value, level.std_error, campaign.unit)
     law = f"{campaign.subject} = ({amount}) ({settings.condition} / {centre:.5g} {campaign.condition_unit})"
@@ -113,7 +113,7 @@ def _line(campaign: Campaign) -> Comparison:
 
 
 def _draw(x: FloatArray) -> FloatArray:
-    return np.linspace(float(np.min(x)), float(np.max(x)), DRAWN)
+    return np.linspace(x.min(), x.max(), DRAWN)
 
 
 def _comparison(
@@ -140,7 +140,7 @@ def difference(campaign: Campaign) -> Comparison:
     its p-value. Equation (comp-difference). ConfigError for groups without a common condition.
     """
     mean = _mean_of_logs(campaign)
-    change = relative_change("difference", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
+    change = relative_change("difference", *mean.stated())
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
     words = f"against {{}} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
@@ -150,7 +150,7 @@ def difference(campaign: Campaign) -> Comparison:
 def quotient(campaign: Campaign) -> Comparison:
     """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests."""
     mean = _mean_of_logs(campaign)
-    ratio = from_log("quotient", "1", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
+    ratio = from_log("quotient", "1", *mean.stated())
     assert ratio.ci95 is not None
     low, high = ratio.ci95
     return _of_groups(campaign, ratio, mean, f"over {{}} {ratio.value:.5g} (95 %: {low:.5g} to {high:.5g})")
@@ -190,8 +190,11 @@ def _pair(campaign: Campaign, first: str, second: str) -> tuple[FloatArray, ...]
         of_first, of_second = members & (groups == first), members & (groups == second)
         if np.any(of_first) and np.any(of_second):
             parts = of_first, of_second
-            before, after = (weighted_mean(logs[part], errors[part]) for part in parts)
-            old, new = (np.average(relative[:, part], axis=1, weights=errors[part] ** -2.0) for part in parts)
+            before, after = means = [weighted_mean(logs[part], errors[part]) for part in parts]
+            old, new = (
+                np.average(relative[:, part], axis=1, weights=1 / (errors[part] ** 2 + mean.spread))
+                for part, mean in zip(parts, means, strict=True)
+            )
             both = np.array([before.std_error(0), after.std_error(0)])
             dof = dof_of_sum(both, np.array([before.effective_dof, after.effective_dof]))
             pairs.append((after.values[0] - before.values[0], np.linalg.norm(both), new - old, dof))

@@ -266,9 +266,10 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     slopes = np.column_stack([-inverse[:, row] * displacement[column] for row in (0, 1) for column in (0, 1)])
     places = [estimated.index(name) for name in STIFFNESS]
     covariance = fit.correlation[np.ix_(places, places)] * np.outer(errors, errors)
-    sources = () if fit.budget is None else fit.budget.sources
-    names = [source.source for source in sources]
-    changes = {name: slopes @ np.array([change_in(fit, name, key) for key in STIFFNESS]) for name in names}
+    changes = {
+        of.source: slopes @ np.array([change_in(fit, of.source, key) for key in STIFFNESS])
+        for of in (() if fit.budget is None else fit.budget.sources)
+    }
     return displacement, slopes @ covariance @ slopes.T, changes
 
 
@@ -406,11 +407,10 @@ def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comp
     apart = [pair for pair, p in zip(tested, corrected, strict=True) if p < settings.level]
     holding = [value.holds_theory for _, value in values if value.holds_theory is not None]
     tests = sum(len(point.tests) for point in matrix.points)
+    counted = {"points": matrix.points, "missing": matrix.missing, "repeats_apart": apart}
     amounts = [
         *(_largest_error(matrix, name) for name in matrix.names),
-        Parameter("points", float(len(matrix.points)), "1", derived=True),
-        Parameter("missing", float(len(matrix.missing)), "1", derived=True),
-        Parameter("repeats_apart", float(len(apart)), "1", derived=True),
+        *(Parameter(name, float(len(of)), "1", derived=True) for name, of in counted.items()),
         chance("theory_share", float(np.mean(holding)) if holding else None),
     ]
     grid = " x ".join(f"{len(axis.levels)} {axis.name}" for axis in matrix.axes)
@@ -434,13 +434,13 @@ def _repeats_findings(
 ) -> tuple[Finding, ...]:
     if not apart:
         return ()
-    point, value = max(apart, key=lambda pair: (pair[1].scatter or 0.0) / abs(pair[1].parameter.value or 1.0))
-    share = 100 * (value.scatter or 0.0) / abs(value.parameter.value or 1.0)
-    worst = f"most at {matrix.text_of(point)}, where {value.parameter.name} scatters by {share:.2g} %"
+    shares = [100 * (of.scatter or 0.0) / abs(of.parameter.value or 1.0) for _, of in apart]
+    point, value = apart[int(np.argmax(shares))]
+    worst = f"most at {matrix.text_of(point)}, where {value.parameter.name} scatters by {max(shares):.2g} %"
     message = (
         f"repeats scatter more than their standard errors for {len(apart)} coefficients at "
         f"{len({p.place for p, _ in apart})} of {len(matrix.points)} points, {worst}; the errors of the "
-        "means are enlarged accordingly. "
-        "Something changes between repeats: temperature, remounting, the setting of the condition"
+        "means are enlarged accordingly. Something changes between repeats: temperature, remounting, the "
+        "setting of the condition"
     )
     return (Finding("repeats-apart", message),)

@@ -181,24 +181,24 @@ class Outcome:
     parameters: tuple[Parameter, ...]
 
 
+@dataclass
 class Workers:
     """Runs repeats, in this process or in several."""
 
-    def __init__(self, pool: ProcessPoolExecutor | None, count: int) -> None:
-        self._pool = pool
-        self._count = count
-        self._started = False
+    pool: ProcessPoolExecutor | None
+    count: int
+    started: bool = False
 
     def outcomes(
         self, source: Source, fits: Sequence[FitSettings], numbers: Sequence[int], seed: tuple[int, ...]
     ) -> list[list[Outcome]]:
         """(fit, repeat of *numbers*) -> Outcome; repeat r draws its noise from seed (*seed, r)."""
-        if self._pool is None or (len(numbers) < WORTH_SHARING and not self._started):
+        if self.pool is None or (len(numbers) < WORTH_SHARING and not self.started):
             numbered = dict(_repeat(source, fits, numbers, seed))
         else:
-            self._started = True
-            shares = [numbers[start :: self._count] for start in range(self._count)]
-            futures = [self._pool.submit(_repeat, source, fits, share, seed) for share in shares]
+            self.started = True
+            shares = [numbers[start :: self.count] for start in range(self.count)]
+            futures = [self.pool.submit(_repeat, source, fits, share, seed) for share in shares]
             numbered = dict(pair for future in futures for pair in future.result())
         return [[numbered[number][fit] for number in numbers] for fit in range(len(fits))]
 
@@ -219,7 +219,6 @@ def _repeat(
 
 
 def _outcome(response: FrequencyResponse | ChannelSpectra, settings: FitSettings) -> Outcome:
-    """A fit with FitError counts as not converged; intervals are those of the estimator alone."""
     try:
         fits = identify(response, settings, judging=False)
     except FitError:

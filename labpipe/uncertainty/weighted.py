@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, optimize
 
 from labpipe import distributions
 from labpipe.arrays import FloatArray
@@ -28,10 +28,10 @@ class WeightedFit:
     """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit],
     covariance (n_parameter, n_parameter).
 
-    Where the scatter exceeds the errors (p_value below SCATTER_LEVEL), those of single values are enlarged by
-    Birge's ratio, and intervals are Student's. Equation (comp-birge). *shared*: the part of *covariance* by
-    errors in common, which no scatter shows. *behind*: degrees of freedom of errors that were estimated from
-    scatter themselves.
+    Where the scatter exceeds the errors (p_value below SCATTER_LEVEL), single values have a *spread* besides,
+    a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *shared*: the part
+    of *covariance* by errors in common, which no scatter shows. *behind*: degrees of freedom of errors that
+    were estimated from scatter themselves.
     """
 
     values: FloatArray
@@ -39,9 +39,14 @@ class WeightedFit:
     chi2: float
     dof: int
     p_value: float | None
-    inflated: bool
+    spread: float
     shared: FloatArray
     behind: float = np.inf
+
+    @property
+    def inflated(self) -> bool:
+        """Whether the scatter exceeds the errors."""
+        return self.spread > 0
 
     @property
     def effective_dof(self) -> float:
@@ -65,11 +70,13 @@ class WeightedFit:
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
 
+    def stated(self, number: int = 0) -> tuple[float, float, float]:
+        """A parameter, its standard error [any unit], and standard errors to either end of its interval."""
+        return float(self.values[number]), self.std_error(number), self.quantile(number)
+
     def amount(self, name: str, unit: str, number: int) -> Parameter:
         """The parameter [unit] with its error and interval."""
-        return with_error(
-            name, unit, float(self.values[number]), self.std_error(number), self.quantile(number)
-        )
+        return with_error(name, unit, *self.stated(number))
 
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
@@ -100,17 +107,19 @@ def weighted_fit(
     inverse, chi2, weights = _solve(columns, values, errors, changes)
     dof = values.size - columns.shape[1]
     p_value = distributions.chi2_tail(chi2, dof) if dof else None
-    inflated = p_value is not None and p_value < SCATTER_LEVEL
-    left, enlarged = chi2, errors
-    for _ in range(ROUNDS * inflated):
-        enlarged = enlarged * (left / dof) ** (0.5 if errors.ndim == 1 else 1.0)
-        inverse, left, weights = _solve(columns, values, enlarged, changes)
+    spread = 0.0
+    if p_value is not None and p_value < SCATTER_LEVEL:
+        most = 10 * float(np.mean((values - columns @ (weights @ values)) ** 2))
+
+        def beside(share: float) -> tuple[FloatArray, float, FloatArray]:
+            square = share * most
+            wider = np.sqrt(errors**2 + square) if errors.ndim == 1 else errors + square * np.eye(values.size)
+            return _solve(columns, values, wider, changes)
+
+        share = optimize.brentq(lambda share: beside(share)[1] - dof, 0.0, 1.0)
+        spread, (inverse, _, weights) = share * most, beside(share)
     shared = weights @ changes.T @ changes @ weights.T
-    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, inflated, shared)
-
-
-# Rounds to Birge's ratio: one, but where what values have in common takes part in their scatter.
-ROUNDS = 20
+    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, shared)
 
 
 def _solve(
@@ -328,7 +337,7 @@ def straight_trend(
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values.
 
-    Where the others scatter more than their errors, all are enlarged (Birge), and the p-values are Student's.
+    Where the others scatter more than their errors, all have that spread, and the p-values are Student's.
     Two values give one test. *errors* (n,), or the covariance (n, n) of values with errors in common, which
     cancel as far as they are alike. FitError for fewer than two. Equation (comp-outlier).
     """
@@ -340,10 +349,11 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
         others = np.arange(values.size) != n
         covariance = whole[np.ix_(others, others)]
         rest = weighted_mean(values[others], covariance)
+        covariance = covariance + rest.spread * np.eye(values.size - 1)
         # The weights of the values in their generalised least-squares mean.
         weights = np.linalg.solve(covariance, np.ones(values.size - 1))
         shared = float(weights @ whole[others, n] / weights.sum())
-        apart = (whole[n, n] - 2 * shared) * (rest.chi2 / rest.dof if rest.inflated else 1.0)
-        away = replace(rest, values=values[[n]] - rest.values, covariance=apart + rest.covariance)
+        apart = whole[n, n] - 2 * shared + rest.spread + rest.covariance
+        away = replace(rest, values=values[[n]] - rest.values, covariance=apart)
         differences[n], chances[n] = away.values[0], away.p_of(0)
     return differences, chances

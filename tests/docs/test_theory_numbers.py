@@ -314,10 +314,10 @@ def test_many_results() -> None:
     assert fit.covariance == pytest.approx(expected)
     assert fit.quantile(0) == pytest.approx(stats.norm.ppf(0.975))  # comp-quantile
     small = weighted_fit(columns, values, errors / 10)
+    weight = np.diag(1 / (errors**2 / 100 + small.spread))
     left = values - columns @ small.values
-    chi2 = np.sum((left / (errors / 10)) ** 2)
-    plain = np.linalg.inv(columns.T @ np.diag(100 / errors**2) @ columns)
-    assert small.covariance == pytest.approx(plain * chi2 / 2)  # comp-birge
+    assert left @ weight @ left == pytest.approx(2) and left @ weight @ columns == pytest.approx(0, abs=1e-9)
+    assert small.covariance == pytest.approx(np.linalg.inv(columns.T @ weight @ columns))  # comp-spread
     assert small.quantile(0) == pytest.approx(stats.t.ppf(0.975, 2))
     p = np.array([0.04, 0.01, 0.03])
     assert holm(p) == pytest.approx(

@@ -299,3 +299,27 @@ def test_the_budget_of_repeats_holds_what_they_scatter_by() -> None:
         assert combined.combined == pytest.approx(np.hypot(alone.full_error, share * alone.value), rel=0.01)
         assert combined.expanded == pytest.approx((combined.ci95[1] - combined.ci95[0]) / 2, rel=0.02)
         assert random_part(fit, combined) == pytest.approx(alone.full_error, rel=1e-6)
+
+
+def test_noise_that_grows_and_is_shared_by_lines_is_that_of_the_mean() -> None:
+    """Noise of 3 % of the response, alike on neighbours as by a Hann window: errors of the mean of 6 of f_n
+    and zeta are A J^T S J A of least squares over 6, S the noise that was drawn.
+    """
+    base = repeated(6, 0)
+    h, shared = mode(F_N, ZETA), np.eye(FREQUENCY.size)
+    shared += sum(c * (np.eye(h.size, k=d) + np.eye(h.size, k=-d)) for d, c in ((1, 4 / 9), (2, 1 / 36)))
+    rng, root = np.random.default_rng(3), 0.03 * np.abs(h)[:, None] * np.linalg.cholesky(shared)
+    drawn = root @ (rng.normal(size=(6, h.size, 1)) + 1j * rng.normal(size=(6, h.size, 1))) / np.sqrt(2)
+    matrices = (h[:, None] + drawn)[..., None]
+    response = replace(base, matrix=matrices.mean(axis=0), repeats=matrices, line_correlation=(4 / 9, 1 / 36))
+    fit = fitted(response, band=(90.0, 110.0))
+    slopes = np.stack(
+        [(mode(F_N * (1 + e), ZETA * (1 + g), (1 + m) / MASS) - h) / 1e-6 for e, g, m in 1e-6 * np.eye(3)],
+        axis=1,
+    )
+    jacobian = np.concatenate([slopes.real, slopes.imag])
+    gain = np.linalg.pinv(jacobian)
+    noise = np.kron(np.eye(2), root @ root.T / 2)
+    expected = np.sqrt(np.diag(gain @ noise @ gain.T) / 6)
+    found = [fit.parameter("f_n").std_error / F_N, fit.parameter("zeta").std_error / ZETA]
+    np.testing.assert_allclose(found, expected[:2], rtol=0.2)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from labpipe.artefacts.identification_file import write_identification
+from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import widen
-from labpipe.project.catalogue import INDEX, Filter, open_index, results, values, verdict
+from labpipe.project.catalogue import INDEX, Filter, open_index, results, values
+from labpipe.project.run_record import RECORD, begin, recorded, runs_of
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome, warning_codes
 
@@ -146,7 +147,7 @@ PASSED, FAILED = (RuleOutcome("accept", "direct.k > 0", 1.0, passed) for passed 
     ],
 )
 def test_the_verdict_in_a_word(changes: dict, word: str) -> None:
-    assert verdict(Identification((FIT,), **changes)) == word
+    assert Identification((FIT,), **changes).verdict == word
 
 
 def test_warnings_count_once_and_notes_not_at_all() -> None:
@@ -191,6 +192,23 @@ def test_without_a_stated_date_the_file_s_day_counts(tmp_path: Path) -> None:
     os.utime(path, (1709208000, 1709208000))
     assert stiffnesses(tmp_path, since="2024-02-28", until="2024-03-01") == [1.0]
     assert stiffnesses(tmp_path, since="2024-03-02") == []
+
+
+def test_the_day_of_a_run_goes_before_that_of_a_copied_file(tmp_path: Path, labpipe) -> None:
+    """The record of runs says when a result was made; of one that no run made its file alone does."""
+    begin(tmp_path)
+    for name in ("a", "b"):
+        store(tmp_path / name, 1.0, settings={})
+    with recorded(tmp_path / "a", Path("p.yaml")) as made:
+        made.append(read_identification(tmp_path / "a/identification.json"))
+    for name in ("a", "b"):
+        os.utime(tmp_path / name / "identification.json", (1709208000, 1709208000))
+    with open_index(tmp_path) as index:
+        days = {row.path[0]: row.date for row in values(index, Filter())}
+    assert days == {"a": runs_of(tmp_path / RECORD)[-1].time[:10], "b": "2024-02-29"}
+    ended = labpipe("trend", tmp_path, "-p", "k", "--over", "date")
+    assert "note: a: without a condition `date`, dated by the record of runs" in ended.err
+    assert "note: b: without a condition `date`, dated by the last change of its file" in ended.err
 
 
 # conditions

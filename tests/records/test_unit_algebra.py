@@ -148,6 +148,9 @@ def test_every_quantity_reads_its_own_unit(name: str) -> None:
         ("5 mm", (0.005, "m")),
         ("2 bar", (2e5, "Pa")),
         ("10 N.m", (10.0, "N.m")),
+        ("314.1592653589793 rad/s", (50.0, "Hz")),
+        ("2 m/s^2", (2.0, "m/s^2")),
+        ("12 g.mm", (12e-6, "kg.m")),
     ],
 )
 def test_an_amount_of_any_usual_dimension(text: str, amount: tuple[float, str]) -> None:

@@ -12,6 +12,7 @@ import pytest
 from scipy import fft, signal
 
 from labpipe.errors import ConfigError, DataError
+from labpipe.estimation.leakage import SharedNoise
 from labpipe.raw_files.excitation import Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
@@ -134,7 +135,7 @@ def test_noise_and_leakage_of_the_local_fit_are_those_of_a_plain_least_squares(
     """
     forces, responses = (rng.normal(size=(2, 40, 1)) + 1j * rng.normal(size=(2, 40, 1)) for _ in range(2))
     degree, n, line = 2, 7, 9
-    found = local_noise(forces, responses, degree, n)
+    found = local_noise(forces, responses, degree, n, np.ones(2))
     r = np.arange(-n, n + 1) / n
     powers = r[:, None] ** np.arange(degree + 1)
     rows = []
@@ -167,7 +168,7 @@ def test_a_single_resonance_leaves_nothing_in_the_local_residual() -> None:
     forces = (rng.normal(size=(1, 60, 1)) + 1j * rng.normal(size=(1, 60, 1))) * np.exp(0.4j * k**2)[
         None, :, None
     ]
-    found = local_noise(forces, forces * h[None, :, None], 2, 8)
+    found = local_noise(forces, forces * h[None, :, None], 2, 8, np.ones(1))
     assert np.max(np.abs(found.noise)) < 1e-20 and np.max(np.abs(found.leakage)) < 1e-9
 
 
@@ -350,3 +351,51 @@ def test_noise_that_grows_with_the_level_of_a_recording_counts_where_it_acts() -
     expected = clean.size * (0.01 * clean.std()) ** 2 / power[lines] * np.sum(a**4) / np.sum(a**2) ** 2
     assert response.variance is not None
     assert np.median(response.variance[:, 0, 0] / expected) == pytest.approx(1.0, rel=0.1)
+
+
+def test_zeros_after_a_short_recording_hold_no_noise() -> None:
+    """White noise s in n of N samples: n s^2 / |U|^2 in a line of H, and sin(pi n / N) / (pi n / N) of it in
+    common with the next line. The local fit saw a third of it, and lines were independent.
+    """
+    rng = np.random.default_rng(3)
+    sources, powers, lengths = [], [], []
+    outputs = tuple(Channel(name, "displacement", "output", name) for name in "xy")
+    for name, duration in (("f", 3.0), ("g", 12.0)):
+        force = Sweep(BAND, duration, 1.0, "linear", "up", 0.5).samples(RATE, 1)[:, None]
+        samples = np.hstack([force, force * [2.0, 0.3] + 0.1 * rng.normal(size=(force.size, 2))])
+        sources.append(Recording((Channel(name, "force", "input", name), *outputs), samples, RATE, name))
+        powers.append(force[:, 0])
+        lengths.append(force.size)
+    response = measure(sources, FrfSettings("sweep", band=(30.0, 70.0)))
+    n_sample = round(RATE / np.diff(response.frequency)[0])
+    lines = np.rint(response.frequency * n_sample / RATE).astype(int)
+    assert response.variance is not None and response.line_gains is not None
+    for force, (drive, n) in enumerate(zip(powers, lengths, strict=True)):
+        expected = min(n, n_sample) * 0.01 / np.abs(fft.rfft(drive, n_sample)[lines]) ** 2
+        assert np.mean(response.variance[:, :, force] / expected[:, None]) == pytest.approx(1, abs=0.2)
+    noise = SharedNoise(
+        lines, np.array(response.line_correlation), response.line_gains.reshape(lines.size, -1, 4)
+    )
+    one = np.zeros((lines.size, 4, 1), np.complex128)
+    one[lines.size // 2] = 1
+    shared = noise.times(one)[lines.size // 2 + 1, :, 0]
+    np.testing.assert_allclose(shared, np.sinc(np.array([lengths[0] / n_sample, 1.0] * 2)), atol=0.02)
+
+
+@pytest.mark.parametrize("direction", ["up", "up-down"])
+def test_noise_of_the_force_that_makes_repeated_sweeps_low_is_named(direction: str) -> None:
+    """Noise s of n_sample samples beside |U|^2: H is low by 2/3 n_sample s^2 / |U|^2 over three sweeps, and
+    not over two that do not repeat.
+    """
+    sweep = replace(UP, duration=6.0, direction=direction)
+
+    def named(count: int, noise: float) -> str:
+        response = measure([record(2, sweep, count, (noise, 0.01))], replace(SWEEP, band=(25.0, 75.0)))
+        return next((f.message for f in response.findings if f.code == "force-noise"), "")
+
+    one = sweep.samples(RATE, 1)
+    spectrum = np.abs(fft.rfft(one))[round(25 * one.size / RATE) : round(75 * one.size / RATE)]
+    low = 100 * 2 / 3 * one.size * (0.2 * one.std()) ** 2 / np.median(spectrum**2)
+    found = re.search(r"low by ([\d.]+) %", named(3, 0.2))
+    assert found is not None and float(found[1]) == pytest.approx(low, rel=0.15)
+    assert not named(3, 0.01) and bool(named(2, 0.2)) == (direction == "up")

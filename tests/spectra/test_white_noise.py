@@ -112,6 +112,24 @@ def test_every_force_has_the_noise_of_its_own_recordings(rig: WhiteNoiseRig) -> 
     assert few.covariance_dof == pytest.approx(few.averages - 2)
 
 
+def test_every_force_has_its_own_blocks(rig: WhiteNoiseRig) -> None:
+    # Two thirds of a recording are enough for a noise of its own, four blocks are not. nu is that of the mean
+    # of nu / (nu - 2).
+    y, short = recordings(quiet(rig), 2)[1], recordings(quiet(rig, blocks=8), 2)[0]
+    uneven = measure([short, y], SHORT)
+    assert uneven.blocks is not None and uneven.blocks.apart and uneven.blocks.by_force == (15, 23)
+    excess = [nu / (nu - 2) for nu in (measure([run], SHORT).covariance_dof for run in (short, y))]
+    assert uneven.covariance_dof / (uneven.covariance_dof - 2) == pytest.approx(np.mean(excess))
+    assert uneven.blocks.of_forces([1]).by_force == (23,)
+
+
+def test_a_right_model_fits_few_blocks(rig: WhiteNoiseRig) -> None:
+    # 800 equations, a covariance of 5.7 degrees of freedom: chi2/dof 1 +- .15. Leakage of one force is common
+    # to both responses; levels of single responses turned it: above 10.
+    fit = fitted(quiet(rig, blocks=4), SHORT, 5)
+    assert fit.gof.chi2_reduced == pytest.approx(1.0, abs=0.35)
+
+
 def test_a_right_model_fits_leakage_of_two_forces(rig: WhiteNoiseRig) -> None:
     # 800 equations, lines share noise: chi2/dof 1 +- .07. The leakage of both forces pooled: above 3.
     fit = fitted(quiet(rig), SHORT, 3)

@@ -94,7 +94,7 @@ def test_repeats_apart_are_named_and_their_mean_widened() -> None:
     matrix = a_matrix(tests)
     assert [finding.code for finding in matrix.findings] == ["repeats-apart"]
     assert "speed 3000 rpm, load 1 kN" in matrix.findings[0].message
-    # Birge: the error of the mean is that of the scatter, 2e4 / sqrt 3.
+    # The error of the mean is that of the scatter, 2e4 / sqrt 3.
     assert matrix.points[0].values[0].parameter.std_error == pytest.approx(2e4 / np.sqrt(3), rel=1e-9)
     assert matrix.amount("repeats_apart").value == 1
 

@@ -88,4 +88,4 @@ def test_nothing_but_failures() -> None:
 
 def test_one_worker_needs_no_process() -> None:
     with workers(1) as crew:
-        assert crew._pool is None
+        assert crew.pool is None

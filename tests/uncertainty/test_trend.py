@@ -59,7 +59,7 @@ def test_the_setting_s_error_widens_the_exponent_s(campaign, rng) -> None:
 @pytest.mark.long
 def test_noise_alone_is_no_trend_at_the_stated_level(campaign, rng) -> None:
     """300 series without a trend: 5 % are called one, within 3.5 binomial standard deviations of 7.2 %, the
-    rate with Birge's ratio.
+    rate of the scatter's test.
     """
     verdicts = [
         trend(campaign(LINE, a_series(1e7 + 1e5 * rng.standard_normal(4), 1e5))).verdict for _ in range(300)

@@ -41,13 +41,23 @@ def test_errors_that_values_share_do_not_average_out() -> None:
     assert found.chi2 == pytest.approx(weighted_mean(values, np.full(3, 0.1)).chi2, rel=1e-9)
 
 
-def test_scatter_beyond_the_errors_enlarges_them_by_birge_s_ratio() -> None:
+def test_scatter_beyond_equal_errors_is_theirs() -> None:
     values = np.array([1.0, 2.0, 4.0])
     found = weighted_mean(values, np.full(3, 0.01))
     assert found.inflated
     assert found.std_error(0) == pytest.approx(np.std(values, ddof=1) / np.sqrt(3), rel=1e-12)
     assert found.quantile(0) == pytest.approx(stats.t.ppf(0.975, 2), rel=1e-12)
     assert found.p_of(0, 2.0) == pytest.approx(stats.ttest_1samp(values, 2.0).pvalue, rel=1e-9)
+
+
+def test_scatter_beyond_unequal_errors_is_added_to_each() -> None:
+    """Of two d apart chi-square is 1 for tau^2 = (d^2 - s_1^2 - s_2^2) / 2: the precise one hardly leads."""
+    values, errors, square = np.array([1.0, 4.0]), np.array([0.1, 1.0]), (9 - 0.01 - 1) / 2
+    found, weights = weighted_mean(values, errors), 1 / (errors**2 + square)
+    assert found.spread == pytest.approx(square, rel=1e-9)
+    assert found.values[0] == pytest.approx(weights @ values / weights.sum(), rel=1e-9)
+    assert found.std_error(0) == pytest.approx(weights.sum() ** -0.5, rel=1e-9)
+    assert weighted_mean(values, np.diag(errors**2)).values == pytest.approx(found.values, rel=1e-9)
 
 
 def test_scatter_does_not_enlarge_what_values_have_in_common() -> None:

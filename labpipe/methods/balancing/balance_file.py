@@ -197,7 +197,6 @@ def _floor(node: Marked, unit: str, faults: Faults) -> float:
 
 
 def _check_noise(path: Path, runs: Sequence[Run], lines: Sequence[str], noise: Noise) -> None:
-    """ConfigError for a reading without scatter: it would outweigh all others."""
     for run in runs:
         for line, variance in zip(lines, noise.variance(run.readings), strict=True):
             if variance == 0:

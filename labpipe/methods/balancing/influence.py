@@ -15,7 +15,6 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.distributions import chi2_tail
 from labpipe.errors import DataError
 from labpipe.methods.rotor.posterior import root_of
 
@@ -23,8 +22,6 @@ from labpipe.methods.rotor.posterior import root_of
 DRAWS, SEED = 4000, 20261125
 # Truths over which one more run is looked at.
 TRIED = 200
-# Chance below which what no weights change is no noise.
-BY_CHANCE = 1e-4
 COVERED = (2.5, 97.5)
 
 
@@ -288,13 +285,13 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
 
 
 def _unreached(knowledge: Influence) -> ComplexArray:
-    """What no weights change (n_line,) [unit of the readings], less its noise; zero where that is all."""
+    """What no weights change (n_line,) [unit of the readings], its square less that of noise, or zero."""
     whole = np.concatenate([[1.0], best_weights(knowledge.square)])
     deviation, n_free = np.sqrt(knowledge.variance_with(whole)), len(knowledge.mean) - whole.size + 1
     scaled = knowledge.mean / deviation[:, None]
     left = scaled @ np.concatenate([[1.0], -np.linalg.pinv(scaled[:, 1:]) @ scaled[:, 0]])
     excess = float(np.sum(np.abs(left) ** 2))
-    if n_free < 1 or chi2_tail(2 * excess, 2 * n_free) >= BY_CHANCE:
+    if n_free < 1 or excess <= n_free:
         return 0 * left
     return np.asarray(left * deviation * np.sqrt(1 - n_free / excess))
 
@@ -308,7 +305,7 @@ def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, Compl
     rng = np.random.default_rng(SEED + 2)
     truths = knowledge.draws(TRIED)
     if not knowledge.modelled:
-        # Unbalance in the planes, and what they cannot make unless noise explains it.
+        # Unbalance in the planes, and what they cannot make.
         made = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
         truths[..., 0] = made + _unreached(knowledge)
     scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)

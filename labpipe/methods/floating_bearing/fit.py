@@ -415,7 +415,6 @@ def _given_numbers(settings: FitSettings, stator: Stator) -> Given:
 
 
 def _check_band(stator: Stator, baseline: Baseline | None) -> None:
-    """SettingError for lines beyond the band of the baseline by a whole line: its model holds there alone."""
     if baseline is None:
         return
     lines, (low, high) = stator.omega / (2 * np.pi), baseline.band

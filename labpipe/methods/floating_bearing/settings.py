@@ -254,11 +254,6 @@ class SmearedBalance:
     leakage: Leakage
     ratio: ComplexArray
 
-    @property
-    def by_acceleration(self) -> bool:
-        """Whether the motion of the model is that of the accelerometers over -w^2."""
-        return self.given.absolute and self.stator.accelerated
-
     def motion_per_force(self, stiffness: Stiffness, omega: FloatArray, ratio: ComplexArray) -> ComplexArray:
         """(H - side * ratio)^-1 (n, 2, 2) [m/N] at omega (n,) [rad/s]; *ratio* (n, 2, 2) [1/s^2] there."""
         return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
@@ -276,7 +271,9 @@ class SmearedBalance:
         side = np.repeat(self.given.side(lines), n_point, axis=0) - self.given.side(flat)
         forces = (stiffness(flat) @ motion + side @ ratio @ motion).reshape(n_line, n_point, 2, 2)
         moved = motion.reshape(n_line, n_point, 2, 2)
-        seen = squared if self.by_acceleration else np.ones_like(squared)
+        # The motion may be that of the accelerometers over -w^2.
+        accelerated = self.given.absolute and self.stator.accelerated
+        seen = squared if accelerated else np.ones_like(squared)
         mean_force = np.einsum("p,lpij->lij", weights, forces)
         return np.asarray(mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved)))
 

@@ -229,7 +229,10 @@ def other_excitations(
         shape = stator.omega[acting] ** (2 * exponent)
         planned = shape * power[acting].sum() / shape.sum()
         others.append(_ratios(name, _errors(np.tensordot(planned, per_power, 1)) / here, letters))
-    if one_at_a_time(stator):
+    # Every run with forces in one direction only, and not all the same.
+    by_run = np.sum(np.abs(stator.axes[..., :2]) ** 2, axis=0)
+    single = np.min(by_run, axis=1) < QUIET * np.max(by_run, axis=1)
+    if np.all(single) and np.unique(np.argmax(by_run, axis=1)).size == 2:
         others.append(_ratios("both forces at once, + + and + -", np.full(here.size, np.sqrt(0.5)), letters))
     return tuple(others)
 
@@ -242,13 +245,6 @@ def _ratios(name: str, ratios: FloatArray, letters: list[str]) -> OtherExcitatio
     there = tuple(letter for letter in LETTERS if letter in letters)
     means = (np.mean(np.log(ratios[np.array(letters) == letter])) for letter in there)
     return OtherExcitation(name, there, tuple(float(np.exp(mean)) for mean in means))
-
-
-def one_at_a_time(stator: Stator) -> bool:
-    """Whether every run has forces in one direction only, and not all the same."""
-    power = np.sum(np.abs(stator.axes[..., :2]) ** 2, axis=0)
-    single = np.min(power, axis=1) < QUIET * np.max(power, axis=1)
-    return bool(np.all(single) and np.unique(np.argmax(power, axis=1)).size == 2)
 
 
 def motion_note(stator: Stator) -> str:

@@ -39,12 +39,15 @@ from labpipe.spectra.settings import SPECTRA, FrfSettings
 # The fit of a run is made of the averages so far when there are so many in every direction, and again when
 # there are so many times more: what it adds to noise moves little from average to average.
 FIRST_LOOK, NEXT_LOOK = 3, 1.4
+RINGS_ON = "the response rings on at the end of the block, lengthen `block`"
 
 
 class FollowedFit:
-    """One fit of the pipeline, followed average by average on its own lines and channels."""
+    """One fit of the pipeline, followed average by average on its own lines and channels. *block*: how long
+    the response is followed after a hit [s], 0 for periods.
+    """
 
-    def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, hits: bool) -> None:
+    def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, block: float) -> None:
         self.settings = settings
         self.setup, rows, columns = _setup(settings, layout)
         model = damp(settings.kind.model(self.setup), settings)
@@ -65,7 +68,7 @@ class FollowedFit:
         self._form = layout.form
         equation = running_fit.Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
         self.fit = running_fit.RunningFit(equation)
-        self.sums = running_fit.Directions(hits)
+        self.sums, self._block = running_fit.Directions(hits=block > 0), block
         self.charts = charts.Charts(self.fit)
         self.model = model
         self.estimate: running_fit.Estimate | None = None
@@ -137,15 +140,25 @@ class FollowedFit:
             return
         self.by_run = fits[0] if fits else None
         now = {parameter.name: parameter.value for parameter in self._of_noise()}
+        rings = self._rings_on(now)
         self.common = {
             parameter.name: charts.Common(
-                charts.lasting(parameter),
+                math.hypot(charts.lasting(parameter), rest := rings.get(parameter.name, 0.0)),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
-                parameter.reason,
+                RINGS_ON if rest > charts.lasting(parameter) else parameter.reason,
             )
             for parameter in (fits[0].parameters if fits else ())
             if (parts := parameter.interval) is not None and parameter.name in now
         }
+
+    def _rings_on(self, now: Mapping[str, float]) -> dict[str, float]:
+        """Half-widths [parameter units] by what of a mode is left at the end of the block, e^(-zeta w T): all
+        lines are that share of H off alike, at a phase that nothing tells.
+        """
+        if not self._block or "zeta" not in now:
+            return {}
+        left = math.exp(-2 * math.pi * now["f_n"] * max(now["zeta"], 0.0) * self._block)
+        return {name: NORMAL * left / math.sqrt(2) * abs(now[name]) for name in self.model.names}
 
     def response(self) -> FrequencyResponse | None:
         """The FRFs on the fit's lines by all averages so far; None before every direction had two."""
@@ -377,7 +390,9 @@ class Bench(charts.Watch):
         if not chosen.any():
             raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
         self.lines = np.flatnonzero(chosen)
-        self.fits = [FollowedFit(fit, self.layout, frequency[chosen], self.hits) for fit in self.settings]
+        length = self.cutter.n_sample / self.sample_rate if self.hits else 0.0
+        block = length * (1 - self.frf.impact.pretrigger)
+        self.fits = [FollowedFit(fit, self.layout, frequency[chosen], block) for fit in self.settings]
         for fit in self.fits:
             fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
@@ -502,6 +517,7 @@ class Bench(charts.Watch):
                 turn = "turn the shaker, or excite a second direction"
                 message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
                 findings.append(Finding("collinear", message))
+            findings += fit.sums.findings(name, self.cutter)
             if estimate.misfit and estimate.n >= 3:
                 message = (
                     f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does not "

@@ -19,10 +19,11 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import f_tail
 from labpipe.errors import DataError
 from labpipe.estimation.model import DynamicModel
+from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import Lags
-from labpipe.spectra.impact import HitSearch, force_window, judged_hit
+from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_noise, force_window, judged_hit, noise_power
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
 
@@ -72,7 +73,7 @@ class PeriodSums:
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
-    An average counts by the energy of its force. The mean is [H; 1], its covariance that of H; *force_power*
+    The mean is [H; 1], its covariance that of H; *force_power*
     (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages.
     """
 
@@ -99,12 +100,37 @@ class HitSums:
         return np.pad(self._xf / self.force_power[..., None], [(0, 0), (0, 0), (0, 1)], constant_values=1)
 
     def covariance(self) -> ComplexArray:
-        """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]."""
+        """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]. Noise of the
+        force, or a force that is not recorded, makes it follow |H|^2, which changes within a few lines: it is
+        smoothed over the likeliest 1 + rho |H|^2, rho of 0 where that is little better.
+        """
         power, h = self.force_power[..., None, None], self.mean[..., :-1]
-        noise = self._xx - power * h[..., :, None] * h[..., None, :].conj()
-        return np.pad(moving_mean(noise / (self.n - 1)) / power, [(0, 0), (0, 0), (0, 1), (0, 1)])
+        noise = (self._xx - power * h[..., :, None] * h[..., None, :].conj()) / (self.n - 1)
+        gain = np.abs(h) ** 2
+        gain, plain = gain / gain.mean(axis=0), np.einsum("leoo->leo", noise).real
+        courses = 1 + SHARES[:, None, None, None] * gain
+        scale = np.maximum(np.mean(plain / courses, axis=1), np.finfo(float).tiny)
+        misfit = (self.n - 1) * (len(gain) * np.log(scale) + np.sum(np.log(courses), axis=1))
+        best = np.where(misfit.min(axis=0) < misfit[0] - SEEN, misfit.argmin(axis=0), 0)
+        root = np.sqrt(1 + SHARES[best] * gain)
+        root = root[..., :, None] * root[..., None, :]
+        return np.pad(moving_mean(noise / root) * root / power, [(0, 0), (0, 0), (0, 1), (0, 1)])
+
+    def findings(self, fit: str, noise: float) -> list[Finding]:
+        """A warning, as of a run, of *noise* of the force in one average [squared force unit] that makes H
+        low.
+        """
+        power, size = self.force_power[..., None], np.abs(self.mean[..., :-1]) ** 2
+        low = np.broadcast_to(self.n * noise / power, size.shape)
+        weight = size / np.einsum("leoo->leo", self.covariance()[..., :-1, :-1]).real
+        common = float(np.max(np.sum(low * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))))
+        what = f"{fit}: noise of the force makes H low by"
+        return [force_noise(what, low, common)] if common > MOST_COMMON else []
 
 
+# Noise that follows |H|^2 over that which does not, in the mean of the lines; what the logarithm of their
+# likelihood gains where there is some.
+SHARES, SEEN = np.append(0.0, np.geomspace(1e-2, 1e3, 21)), 4.0
 Sums = PeriodSums | HitSums
 
 
@@ -132,6 +158,12 @@ class Directions:
     def mean(self) -> ComplexArray:
         """(n_line, n_experiment, n_channel) [channels' units]."""
         return np.concatenate([sums.mean for sums in self.shaken.values()], axis=1)
+
+    def findings(self, fit: str, cutter: Cutter) -> list[Finding]:
+        """What noise of the force does to the mean of hits."""
+        noise = cutter.force_noise if isinstance(cutter, HitCutter) else []
+        hits = [sums for sums in self.shaken.values() if isinstance(sums, HitSums)]
+        return [finding for sums in hits for finding in sums.findings(fit, float(np.mean(noise)))]
 
     def covariance(self) -> ComplexArray:
         """Of the mean, (n_line, n_experiment, n_channel, n_channel) [products of the channels' units]."""
@@ -448,6 +480,8 @@ class HitCutter(_Cutter):
         self._search = HitSearch(self._force, self.n_sample, self._before, len(channels))
         self._sizes: list[float] = []
         self._noise, self._rest = 0.0, np.zeros(len(channels))
+        # Noise of the force in the hits, as squared amplitudes of a line.
+        self.force_noise: list[float] = []
 
     def restart(self) -> None:
         self._search.restart()
@@ -487,10 +521,13 @@ class HitCutter(_Cutter):
             fault = f"weak: {100 * size / usual:.0f} % of the usual force"
         if not fault and np.isfinite(samples).all():
             self._sizes.append(size)
-        windowed = hit.samples.copy()
+        windowed, window = hit.samples.copy(), np.ones((self.n_sample, 1))
         if self._impact.force_window is not None:
             length = self._impact.force_window * self.sample_rate
-            windowed[:, self._force] *= force_window(self.n_sample, trigger, length)
+            window[:, 0] = force_window(self.n_sample, trigger, length)
+            windowed[:, [self._force]] *= window
+        noise = noise_power(hit, self._force, self._lines) * float(np.sum(window**2))
+        self.force_noise.append(noise * (2 / self.n_sample) ** 2)
         return self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
 
 

@@ -251,7 +251,7 @@ def certificate(
 class FittedModel:
     """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no
     intervals. rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in
-    continuous time.
+    continuous time. left_out: signals that the controller computes from, or makes of, the others.
     """
 
     file: MagneticFile
@@ -259,6 +259,7 @@ class FittedModel:
     loop: ClosedLoop | None
     rejected: str
     rate: float | None
+    left_out: tuple[str, ...]
 
     @property
     def trusted(self) -> ClosedLoop | None:
@@ -335,7 +336,8 @@ def _fit(
     if acceptance.filtered and rate is None:
         what, hint = "'filtered' is of a loop that is sampled", "rate: 10 kHz, or leave it out"
         raise SettingError("filtered", what, hint)
-    fit = loop_fit([recorded_loop(acceptance, response, file)], settings.estimate)
+    observation = recorded_loop(acceptance, response, file, settings.estimate)
+    fit = loop_fit([observation], settings.estimate)
     given = fit.usable or not settings.estimate
     loop = closed_loop(file, fit, rate, BEYOND * float(response.frequency[-1])) if given else None
     rejected = ""
@@ -345,7 +347,7 @@ def _fit(
         rejected = f"{_why_rejected(fit)}; {cause or check}"
     elif loop is not None and loop.unstable:
         rejected = f"the fitted loop is unstable, {growing(loop.unstable)}, so it cannot be the recorded one"
-    return FittedModel(file, fit, loop, rejected, rate)
+    return FittedModel(file, fit, loop, rejected, rate, observation.left_out)
 
 
 def _why_rejected(fit: LoopFit) -> str:
@@ -429,4 +431,7 @@ def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Findi
     if model.fit.chi2_p < MISMATCH_P:
         what = "What intervals there are count the misfit as noise; this model decides nothing"
         findings.append(Finding("model-mismatch", f"{model.rejected}. {what}"))
+    if model.left_out:
+        what = f"{', '.join(model.left_out)} and the command follow from each other by the controller's law"
+        findings.append(note("computed", f"{what}: they count once"))
     return (*findings, note("assumptions", model.file.assumptions()))

@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray
-from labpipe.distributions import normal_quantile, normal_tail
+from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.measured import chosen_ports, matrix_errors, measured_part
+from labpipe.estimation.measured import Measured, chosen_ports, matrix_errors, measured_part
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, loop_fit
-from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem
+from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown, with_unknowns
+from labpipe.methods.magnetic_bearing.sensitivity import MOST_SCALED
 from labpipe.methods.magnetic_bearing.stability import INPUT, OUTPUT, open_loop
 from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
@@ -241,16 +242,20 @@ def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: s
 
 # Powers of ten by which a signal of a wrong unit or sensitivity is off.
 POWERS = (-9, -6, -3, -2, -1, 1, 2, 3, 6, 9)
-# Share of the noise of a signal that is its own below which it is rounding.
-EXACT = 1e-10
+# Share of the noise of a signal that is its own below which it is rounding; share of the scatter of what two
+# signals leave of the controller's law below which one is computed from the other.
+EXACT, COMPUTED = 1e-10, 0.5
 # So many causes that come nearest before a fit are fitted.
 FITTED_CAUSES = 4
 
 
 def recorded_loop(
-    acceptance: CertificateSettings, response: FrequencyResponse, file: MagneticFile
+    acceptance: CertificateSettings,
+    response: FrequencyResponse,
+    file: MagneticFile,
+    estimate: Sequence[str] = (),
 ) -> LoopObservation:
-    """All recorded signals and their prediction.
+    """All recorded signals and their prediction, but for those that the controller computes from others.
 
     With both sides of the sum what is truly added is a complex unknown of every line, the most likely one, so
     that neither gain nor delay of the recorded excitation counts.
@@ -258,16 +263,18 @@ def recorded_loop(
     rate = acceptance.rate or file.loop.rate
     named = {signal: getattr(acceptance, signal) for signal in ("output", "displacement", "current")}
     named = {"after": acceptance.after[0], **named, "before": "".join(acceptance.before)}
-    signals = {
-        signal: chosen_ports(response.outputs, (name,), "response")[0]
-        for signal, name in named.items()
-        if name
-    }
+    rows = {key: chosen_ports(response.outputs, (name,), "response") for key, name in named.items() if name}
+    signals = {signal: chosen[0] for signal, chosen in rows.items()}
     if len(response.inputs) != 1:
         hint = "role: input for the excitation alone"
         raise ConfigError(f"one loop has one excitation, not {len(response.inputs)}", hint=hint)
     lines = np.ones(response.frequency.size, bool)
-    measured = measured_part(replace(response, form="receptance"), list(signals.values()), [0], lines)
+    loop = replace(response, form="receptance")
+    measured = measured_part(loop, list(signals.values()), [0], lines)
+    computed = _computed(acceptance, measured, list(signals), file, estimate)
+    if computed:
+        signals = {signal: row for signal, row in signals.items() if signal not in computed}
+        measured = measured_part(loop, list(signals.values()), [0], lines)
     # sensitivity_matrix has refused a response without noise.
     assert measured.covariance is not None
     size = np.sqrt(np.einsum("lcc->lc", measured.covariance).real)
@@ -297,7 +304,7 @@ def recorded_loop(
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise
         # with them. What is common to all of them is added then, and cancels to the last digit.
-        uncertainties = matrix_errors(replace(measured, matrix=predict(changed, support)))
+        uncertainties = matrix_errors(_at(measured, predict(changed, support)))
         if not acceptance.before:
             return uncertainties
         per = per_added(changed)
@@ -306,9 +313,58 @@ def recorded_loop(
             for error in uncertainties
         ]
 
-    return LoopObservation(
-        measured, predict, file, nuisance=2 * measured.omega.size if acceptance.before else 0, errors=errors
-    )
+    nuisance = 2 * measured.omega.size if acceptance.before else 0
+    left_out = tuple(named[signal] for signal in computed)
+    return LoopObservation(measured, predict, file, nuisance=nuisance, errors=errors, left_out=left_out)
+
+
+def _at(measured: Measured, predicted: ComplexArray) -> Measured:
+    """What is *predicted* (n_line, n_signal, 1), with its own changes."""
+    here = measured.matrix
+    near = np.abs(here) > np.abs(predicted) / MOST_SCALED
+    ratio = np.divide(predicted, here, out=np.ones_like(here), where=near)
+    errors = tuple(replace(error, change=error.change * ratio) for error in measured.errors)
+    return replace(measured, matrix=predicted, errors=errors)
+
+
+# As in a fit, magnets may outgrow all numbers.
+@np.errstate(over="ignore", invalid="ignore")
+def _computed(
+    acceptance: CertificateSettings,
+    measured: Measured,
+    signals: list[str],
+    file: MagneticFile,
+    estimate: Sequence[str],
+) -> list[str]:
+    """Those of the *signals* that tell nothing beside the others: a controller computes one from the other
+    and logs both. What they leave of its law is leakage, of which all but the ends of the record cancels in
+    the mean of the periods, and nothing in their scatter.
+    """
+    assert measured.covariance is not None
+    moved = with_unknowns(file, {name: 1.01 * unknown(file, name).value for name in estimate})
+    rate = acceptance.rate or file.loop.rate
+    loop, other = (open_loop(each.levitated(), measured.omega, rate) for each in (file, moved))
+    if acceptance.filtered or loop.sensor != other.sensor or np.any(loop.controller != other.controller):
+        return []
+    ahead, added = ("before", 0.0) if acceptance.before else ("after", 1.0)
+    if acceptance.injection == OUTPUT:
+        laws = [("displacement", ahead, "displacement", loop.sensor * loop.controller, added)]
+    else:
+        sensor = np.full_like(loop.controller, loop.sensor)
+        laws = [("displacement", ahead, "displacement", sensor, added)]
+        laws.append(("output", "output", "after", loop.controller, 0.0))
+    computed = []
+    for signal, of, by, law, constant in laws:
+        if signal in signals:
+            row, column = signals.index(of), signals.index(by)
+            left = measured.matrix[:, row, 0] - law * measured.matrix[:, column, 0] - constant
+            slopes = np.zeros(measured.matrix.shape[:2], np.complex128)
+            slopes[:, row], slopes[:, column] = 1.0, -law
+            variance = np.einsum("la,lab,lb->l", slopes, measured.covariance, slopes.conj()).real
+            chi2 = 2 * float(np.sum(np.abs(left) ** 2 / variance))
+            if chi2 < COMPUTED * 2 * left.size and chi2_tail(chi2, 2 * left.size) > 1 - MISMATCH_P:
+                computed.append(signal)
+    return computed
 
 
 def cause_of(
@@ -317,7 +373,7 @@ def cause_of(
     """The one change of sign, power of ten or place of injection with which the fit is good, or empty."""
     changes = []
     for what, changed_acceptance, changed in _changes(acceptance, response):
-        observation = recorded_loop(changed_acceptance, changed, file)
+        observation = recorded_loop(changed_acceptance, changed, file, estimate)
         problem = LoopProblem((observation,), (), ())
         changes.append((problem.chi2(problem.start), what, observation))
     for _, what, observation in sorted(changes, key=lambda change: change[0])[:FITTED_CAUSES]:

@@ -131,19 +131,9 @@ def response_errors(
     uncertainty of every source. Gain, delay and phase of the channels, and sums of channels; a direction,
     which another channel of the same quantity would have to tell, is left out.
     """
-    part = np.ix_(range(response.n_frequency), rows, columns)
-    return matrix_errors(
-        Measured(
-            omega=2 * np.pi * response.frequency,
-            matrix=response.matrix[part],
-            covariance=None,
-            noise_dof=np.inf,
-            noise_lines=1.0,
-            outputs=tuple(response.outputs[row] for row in rows),
-            inputs=tuple(response.inputs[column] for column in columns),
-            errors=tuple(replace(error, change=error.change[part]) for error in response.errors),
-        )
-    )
+    lines = np.ones(response.n_frequency, bool)
+    part = measured_part(replace(response, form="receptance"), list(rows), list(columns), lines)
+    return matrix_errors(part)
 
 
 def merge(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
@@ -173,7 +163,7 @@ Errors = Callable[[MagneticFile, tuple[float, float]], Sequence[MatrixError]]
 class LoopObservation:
     """A *measured* response of a loop, the prediction by a *file* on the same lines, and the *support* beside
     the bearings. *nuisance*: real numbers that the prediction takes from the measurement. *errors*: of
-    channels, and of numbers that the prediction rests on.
+    channels, and of numbers that the prediction rests on. *left_out*: signals that tell nothing beside these.
     """
 
     measured: Measured
@@ -182,6 +172,7 @@ class LoopObservation:
     support: Support = Support()
     nuisance: int = 0
     errors: Errors = lambda *_: ()
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

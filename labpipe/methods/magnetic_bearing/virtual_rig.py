@@ -287,10 +287,6 @@ def run_names(rig: VirtualMagneticRig) -> tuple[str, ...]:
     return tuple({**RUNS, **_loop_runs(rig)})
 
 
-def usual_runs(rig: VirtualMagneticRig) -> tuple[str, ...]:
-    return tuple(_loop_runs(rig) or RUNS)
-
-
 def _loop_runs(rig: VirtualMagneticRig) -> dict[str, MakeRun]:
     """Blocks have no proportional gain to be varied."""
     if rig.levitation.law != "control-loop":
@@ -440,7 +436,7 @@ def _parameters(rig: VirtualMagneticRig, runs: Sequence[str]) -> virtual_rigs.Tr
 MAGNETIC_RIG = virtual_rigs.kind_of_tests(
     VirtualMagneticRig,
     runs=run_names,
-    usual=usual_runs,
+    usual=lambda rig: tuple(_loop_runs(rig) or RUNS),
     tests=simulate,
     logged=log_table,
     parameters=_parameters,

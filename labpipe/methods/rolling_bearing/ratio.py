@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -300,7 +301,7 @@ def stiffness_ratio(
     logs = np.array([test.log[0] for test in matched])
     errors, changes = joint_errors_of(matched, 0, campaign.settings.setting_error, bending_error)
     mean = weighted_mean(logs, errors, changes)
-    ratio = from_log("ratio", "1", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
+    ratio = from_log("ratio", "1", *mean.stated())
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
     assert ratio.ci95 is not None
     low, high = ratio.ci95
@@ -369,13 +370,12 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
     change = weighted_fit(columns, logs, errors, changes)
-    exponent = with_error(
-        "exponent", "1", 1 + float(change.values[1]), change.std_error(1), change.quantile(1)
-    )
+    slope, *ends = change.stated(1)
+    exponent = with_error("exponent", "1", 1 + slope, *ends)
     if mean.p_value is None:
         raise FitError("one test cannot show whether damping is proportional to stiffness")
     verdict = "not proportional" if mean.p_value < campaign.settings.level else "proportional"
-    beta = from_log("beta", "s", float(mean.values[0]), mean.std_error(0), mean.quantile(0))
+    beta = from_log("beta", "s", *mean.stated())
     result = (
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
@@ -464,19 +464,16 @@ def _match(campaign: Campaign, evidence: Evidence) -> Solved:
 
 def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> Solved:
     rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
-    theories: dict[str, TheoryAt] = {}
+    theory = cache(theory)
     matched, overlays = [], []
     last = len(campaign.observations) - 1
     for number, observation in enumerate(campaign.observations):
         pairs = ((observation.condition, campaign.condition_unit), (observation.second, campaign.second_unit))
-        conditions = pairs[: len(campaign.settings.over)]
-        key = repr(conditions)
-        theories[key] = theories.get(key) or theory(conditions)
         inputs = (
             observation.fit,
             evidence.response(observation.fit.test),
             evidence.settings_of(observation.fit.name),
-            theories[key],
+            theory(pairs[: len(campaign.settings.over)]),
             rig,
         )
         try:

@@ -137,13 +137,11 @@ def shaker_tests(rig: VirtualBallBearingRig) -> dict[str, ShakerTest]:
     """The runs "6208-427N-up-x", and "6208-701N-m1-r1-z" of mounting 1, repeat 1."""
     first = rig.deep_groove
     ways = [(first, "up"), (first, "down"), *([(rig.angular, "up")] if rig.angular else [])]
-    tests = {}
+    tests: dict[str, ShakerTest] = {}
     for tested, way in ways:
         for preload in tested.preloads:
             start = f"{tested.name}-{preload:g}N-{way}"
-            tests.update(
-                {f"{start}-{force}": ShakerTest(tested, preload, start, way, force) for force in FORCES}
-            )
+            tests |= {f"{start}-{force}": ShakerTest(tested, preload, start, way, force) for force in FORCES}
     preload = first.preloads[min(1, len(first.preloads) - 1)]
     for mounting in range(1, rig.mountings + 1):
         start = f"{first.name}-{preload:g}N-m{mounting}"
@@ -251,8 +249,10 @@ def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> virtual_rigs
     terms = {
         f"k_{DOFS[row]}_{DOFS[column]}": float(stiffness[row, column]) for row in places for column in places
     }
-    single = terms[f"k_{tests[0].force}_{tests[0].force}"] if len(tests) == 1 else None
-    return terms if single is None else {**terms, "k": single, "c": rig.damping_factor * single}
+    if len(tests) == 1:
+        terms["k"] = terms[f"k_{tests[0].force}_{tests[0].force}"]
+        terms["c"] = rig.damping_factor * terms["k"]
+    return terms
 
 
 def _at_level(rig: VirtualBallBearingRig, level: float) -> VirtualBallBearingRig:

@@ -182,7 +182,10 @@ def result_blocks(result: RotorSystemResult) -> tuple[Block, ...]:
     blocks += [Paragraph(line) for line in (*_weights(result), *_next(result))]
     if result.tests:
         blocks += [unknown_table(result), budget_table(result), test_table(result)]
-        blocks.append(small_error_table(result))
+        small = ((error.name.replace("_", " "), error) for error in result.small_errors)
+        rows = tuple((name, number(error.declared, 3), number(error.found, 3)) for name, error in small)
+        header = ("small errors of", "declared", "found")
+        blocks.append(Table(header, rows, "Standard deviations", (1, 2)))
     blocks.append(campbell_figure(result))
     if result.balance is not None and result.balance.vibration is not None:
         blocks.append(vibration_figure(result.balance.vibration))
@@ -264,13 +267,6 @@ def test_table(result: RotorSystemResult) -> Table:
     )
     header = ("test", "kind", "chi-square", "probability", "pulls", "standard errors")
     return Table(header, rows, "Tests: a pull beyond 3 contradicts the others", (3, 5))
-
-
-def small_error_table(result: RotorSystemResult) -> Table:
-    """Sizes of the small errors that are everywhere."""
-    small = ((error.name.replace("_", " "), error) for error in result.small_errors)
-    rows = tuple((name, number(error.declared, 3), number(error.found, 3)) for name, error in small)
-    return Table(("small errors of", "declared", "found"), rows, "Standard deviations", (1, 2))
 
 
 def vibration_figure(vibration: VibrationResult) -> Figure:

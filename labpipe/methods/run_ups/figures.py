@@ -93,8 +93,7 @@ def _measured_bode(run: records.MeasuredRun, motion: records.Motion) -> tuple[ch
 def _method_bode(
     method: records.RunUpMethod, run: records.MeasuredRun, number: int
 ) -> tuple[chart.Series, chart.Series] | None:
-    prediction = method.prediction(run.name)
-    if prediction is None or not prediction.motions:
+    if (prediction := _motions(method, run)) is None:
         return None
     speed, value = RPM * np.array(prediction.speed), phasor(prediction.motions[number])
     turned = np.degrees(np.unwrap(np.angle(value)))

@@ -338,10 +338,8 @@ def _write_table(run: TrackedRun, path: Path) -> None:
     for circles in run.circles:
         columns += _orbit_columns(circles, run.clearance)
     with path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow([title for title, _ in columns])
-        for row in zip(*(values for _, values in columns), strict=True):
-            table.writerow([f"{value:.9g}" for value in row])
+        csv.writer(stream, lineterminator="\n").writerow([title for title, _ in columns])
+        np.savetxt(stream, np.column_stack([values for _, values in columns]), "%.9g", ",")
 
 
 def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Column]:

@@ -81,8 +81,8 @@ def metamodels(
 def _grid(method: Solved, trained: Sequence[records.RunUp]) -> Grid:
     if method.anywhere is None:
         return Grid.of(method.fits)
-    longest = max(trained, key=lambda run: run.n_speed)
-    return Grid.sampled(method.anywhere, dict.fromkeys(run.load for run in trained), longest.speed)
+    speed = max((run.speed for run in trained), key=len)
+    return Grid.sampled(method.anywhere, dict.fromkeys(run.load for run in trained), speed)
 
 
 def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:

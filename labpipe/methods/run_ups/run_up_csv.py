@@ -237,7 +237,10 @@ def _parse(text: str, where: str, key: str, unit: str, parse: Callable[..., Any]
 def write_run_up_csv(path: Path, run: RunUp) -> None:
     """As `read_run_up_csv` reads it: rpm, um and degrees, six digits, constant errors as comment lines."""
     columns = {"speed [rpm]": run.rpm}
-    relative, phase = _common_errors(run)
+    parts = (run.amplitude_error / np.abs(run.response), run.phase_error)
+    relative, phase = (
+        float(np.mean(part)) if np.ptp(part) <= 1e-9 * np.mean(part) else None for part in parts
+    )
     for n, plane in enumerate(run.planes):
         for d, direction in enumerate(DIRECTIONS):
             title, phasor = f"{plane} {direction}", run.response[:, n, d]
@@ -251,12 +254,6 @@ def write_run_up_csv(path: Path, run: RunUp) -> None:
         stream.writelines(f"# {line}\n" for line in _lines(run, relative, phase))
         stream.write(",".join(columns) + "\n")
         np.savetxt(stream, np.stack(list(columns.values()), 1), "%.6g", delimiter=",")
-
-
-def _common_errors(run: RunUp) -> tuple[float | None, float | None]:
-    parts = (run.amplitude_error / np.abs(run.response), run.phase_error)
-    constants = [float(np.mean(part)) if np.ptp(part) <= 1e-9 * np.mean(part) else None for part in parts]
-    return constants[0], constants[1]
 
 
 def _lines(run: RunUp, relative: float | None, phase: float | None) -> list[str]:

@@ -26,6 +26,7 @@ from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import FrequencyResponse
+from labpipe.records.uncertain import Uncertainty
 
 # Excess of chi-square below which further minima count: the 99 % quantile for two parameters.
 RIVAL = 9.21
@@ -99,6 +100,8 @@ def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: 
 # Further minima that are refined as the best one is, at most, and their relative excess of chi-square.
 MOST_RIVALS, NEAR = 3, 0.5
 LEAST_SENSITIVITY = 1e-6
+# Share of a standard error that is none of noise.
+ROUNDING = 1e-6
 # Increase of chi-square below which zero wear fits as well as the best wear.
 ALIKE = 1e-3
 # Rounds that estimate the residual's standard deviation; one without a prior, since no minimum moves then.
@@ -154,7 +157,33 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         curve=_curve(measured, solved),
         details=_region(solved, parameters),
     )
-    return with_sources(fit, _sources(solved, measured, wear, len(parameters)))
+    fit, of_prior = _without_prior(fit, solved, wear)
+    return with_sources(fit, [*of_prior, *_sources(solved, measured, wear, len(parameters))])
+
+
+def _without_prior(fit: Fit, solved: _Solved, wear: WearSettings) -> tuple[Fit, list[Source]]:
+    """The fit with the errors that its lines leave, and those of the fit that `prior` names as sources, which
+    all fits with it have in common: C R^T of the prior's rows R.
+    """
+    misfit, prior = solved.misfit, solved.misfit.model.prior
+    if not wear.prior:
+        return fit, []
+    rows = misfit.jacobian(solved.best.parameters)[-misfit.n_prior :]
+    changes = np.zeros((len(prior.names), len(fit.parameters)))
+    changes[:, : len(misfit.model.names)] = misfit.model.scale * (rows @ solved.noise_covariance)
+    parameters = list(fit.parameters)
+    for number, parameter in enumerate(parameters):
+        if (error := parameter.std_error) and (ends := parameter.ci95) is not None:
+            left = 1 - float(np.sum(changes[:, number] ** 2)) / error**2
+            left, value = max(left, ROUNDING**2) ** 0.5, parameter.value
+            low, high = (value + left * (end - value) for end in ends)
+            parameters[number] = replace(parameter, std_error=left * error, ci95=(low, high))
+    # Another tuning of the same name has other values, and errors of its own.
+    names = [
+        Uncertainty(f"{wear.prior}.{name} = {mean:.6g} {UNITS[name]}", error, UNITS[name])
+        for name, mean, error in zip(prior.names, prior.mean, prior.std.tolist(), strict=True)
+    ]
+    return replace(fit, parameters=tuple(parameters)), list(zip(names, changes, strict=True))
 
 
 def _check_speed(response: FrequencyResponse, wear: WearSettings) -> None:

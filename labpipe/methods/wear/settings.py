@@ -237,6 +237,26 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     return Gaussian.of((one.name for one in chosen), (one.value for one in chosen), covariance)
 
 
+def check_after(settings: FitSettings, earlier: FitSettings) -> None:
+    """ConfigError for a prior of other films, or another shaft, than the rotor file of this fit has."""
+    wear, tuned = settings.model_settings, earlier.model_settings
+    for name in wear.nuisance_prior.names:
+        before, now = (_numbers(each.rig, name) for each in (tuned, wear))
+        if before != now:
+            what = f"wear.prior: '{wear.prior}' tuned {name}, {before} {UNITS[name]} in its rotor file"
+            hint = f"give {name} with its uncertainty in place of `prior`"
+            raise ConfigError(f"{what}, and {now} {UNITS[name]} in that of this fit", hint=hint)
+
+
+def _numbers(rig: RotorRig | None, name: str) -> str:
+    """What a rotor file says of a parameter, the films one after the other; none of wear [SI units]."""
+    if rig is None or name in (DEPTH, ANGLE):
+        return ""
+    films = [place.film("wear") for place in rig.bearings if place.is_film]
+    numbers = [rig.rotor.beta] if name == "beta" else [getattr(film, name) for film in films]
+    return ", ".join(f"{number:.6g}" for number in numbers)
+
+
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     from labpipe.methods.wear.fit import worn_fit
 
@@ -257,6 +277,7 @@ WORN_BEARING = ModelKind(
     "wear: {rotor: ../configs/rotors/FILE.yaml}",
     earlier=lambda settings: settings.model_settings.prior,
     begin=with_prior,
+    check_after=check_after,
     keys=(),
     estimators=("ml",),
 )

@@ -45,7 +45,7 @@ from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
 from labpipe.records.recording import Channel
 from labpipe.report.document import Document, Paragraph, Section
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from tests.conftest import Command, Ended
 from tests.draws.stops import RATE as TURNS_RATE, RIGS, SOUND, TRUTH
 
@@ -235,6 +235,26 @@ def test_directions_that_are_shaken_by_turns():
     # Ended by hand it is wider, 3.03 standard errors of many degrees of freedom (Wang and Ramdas 2023).
     low, high = bench.by_hand()["r.c_xx"]
     assert (low + high) / 2 == pytest.approx(planned.value) and high - low > 6.06 * planned.std_error
+
+
+def test_a_block_that_ends_before_the_response_makes_a_floor():
+    """e^(-zeta w T) = 0.2 % of the motion is left after 2.5 s of 65 Hz and 0.6 %: the transform of one pole
+    is 1 - e^(sT) times its own, at any phase of e^(sT), so that c may be wrong by as much.
+    """
+    rng, rate, n = np.random.default_rng(2), 500.0, 3000
+    w = 2 * np.pi * np.fft.rfftfreq(n, 1 / rate)
+    pulse = np.exp(-((w * 0.004) ** 2) / 2 - 0.3j * w)
+    mass, damping = 2e7 / (2 * np.pi * 65) ** 2, 2 * 0.006 * 2e7 / (2 * np.pi * 65)
+    hit = np.fft.irfft([pulse, pulse / (2e7 + 1j * w * damping - w**2 * mass)], n, axis=1).T
+    settings = FrfSettings("impact", band=(50, 80), block=2.5, impact=ImpactSettings(trigger=0.2))
+    channels = (Channel("f", "force", "input", "y"), Channel("y", "displacement", "output", "y"))
+    fit = FitSettings("sdof", band=(60, 70), name="s")
+    test = Bench(channels, rate, settings, [fit], [Goal.of("s.c.expanded<=0.1%")])
+    noise = 0.01 * np.abs(hit).max(axis=0) * (0, 1)
+    *_, last = [u for _ in range(3) for u in test.add(hit + noise * rng.standard_normal((n, 2)))]
+    left = np.exp(-0.006 * 2 * np.pi * 65 * 2.5 * (1 - settings.impact.pretrigger))
+    assert last.standings["s.c"].floor == pytest.approx(1.96 / np.sqrt(2) * left * damping, rel=0.1)
+    assert "rings on" in next(f.message for f in last.findings if f.code == "floor")
 
 
 @pytest.mark.long

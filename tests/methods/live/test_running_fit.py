@@ -140,6 +140,26 @@ def test_hits_weigh_by_their_energy_as_h1_does():
     np.testing.assert_allclose(sums.covariance()[:, 0, 0, 0].real, power, rtol=1e-4)
 
 
+def test_noise_of_the_force_follows_the_response_and_makes_it_low():
+    """var(x - H f) = v_x + |H|^2 v_f, line by line: the mean over 15 lines was a third of it at the peak.
+    H1 is low by v_f / |f|^2, here 0.04 %.
+    """
+    rng, n, force = np.random.default_rng(11), 100, 0.02
+    z = np.stack([np.tile(H, (n, 1)), np.ones((n, N_LINE))], axis=2).astype(complex)
+    size = np.array([0.5 * force * np.mean(np.abs(H)), force])
+    z += size * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape)) / np.sqrt(2)
+    sums = HitSums()
+    for average in z:
+        sums.add(average[:, None])
+    right = (size[0] ** 2 + np.abs(H) ** 2 * force**2) / sums.force_power[:, 0]
+    ratio = sums.covariance()[:, 0, 0, 0].real / right
+    # Each is the mean of 15 x 99 squares.
+    np.testing.assert_allclose(ratio, 1.0, atol=0.15)
+    (finding,) = sums.findings("s", force**2)
+    assert "makes H low by 0.04 % (median" in finding.message
+    assert sums.findings("s", 1e-3 * force**2) == []
+
+
 def test_a_period_of_another_level_of_noise_is_a_jump_and_a_drift_a_change():
     fit, sums = RunningFit(Equation(model(), OMEGA)), Directions(hits=False)
     charts, estimate = Charts(fit), None

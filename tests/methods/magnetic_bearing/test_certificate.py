@@ -15,7 +15,7 @@ from scipy import stats
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.magnetic_bearing.certificate import _bent, certificate, loop_amounts
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings
+from labpipe.methods.magnetic_bearing.limits import CertificateSettings, recorded_loop
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH
 from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
@@ -27,6 +27,7 @@ from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
+from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
 from labpipe.uncertainty.compare import Evidence, compare
@@ -34,6 +35,7 @@ from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.methods.magnetic_bearing.certified import (
     FILE,
     FREQUENCY,
+    LOOP,
     RATE,
     UNKNOWNS,
     drawn,
@@ -171,6 +173,34 @@ def test_signals_that_are_sums_of_others_are_refused(rng: np.random.Generator) -
             certificate(
                 asked(before=("before",), after=("after",)), replace(measured, covariance=covariance), FILE
             )
+
+
+def test_a_gain_of_spectra_changes_what_is_predicted_not_the_noise(rng: np.random.Generator) -> None:
+    """0.5 % of the signal without noise; of the measured one, a fit made the noise smaller by it."""
+    seen = response(rng, 0.1)
+    change = 0.005 * seen.matrix * np.array([0.0, 1.0, 0.0, 0.0])[:, None]
+    uncertain = replace(seen, errors=(MatrixError(Uncertainty("after.gain", 0.005, "1"), change),))
+    loop = recorded_loop(CertificateSettings(after=("after",), rate=RATE), uncertain, FILE)
+    (error,) = loop.errors(FILE, (0.0, 0.0))
+    np.testing.assert_allclose(error.change[:, 0, 0], 0.005 * response(None).matrix[:, 1, 0], rtol=1e-9)
+
+
+def test_a_reading_that_the_controller_logs_with_its_command_counts_once(rng: np.random.Generator) -> None:
+    """after - e is the probe's reading but for leakage z[p + 1] - z[p] of period p, which telescopes in the
+    mean: of three signals chi2/dof came out near (2 + 1/20) / 3; its standard deviation is sqrt(2 / dof).
+    """
+    periods, right = 20, response(None)
+    size = 0.02 * np.sqrt(np.mean(np.abs(right.matrix) ** 2, axis=0))[:, 0]
+    draws = right.matrix[..., 0] + size * drawn(rng, (periods, len(FREQUENCY), 4))
+    ends = 1e-3 * size[2] * drawn(rng, (periods + 1, len(FREQUENCY)))
+    draws[..., 2] = (draws[..., 1] - 1) / LOOP.sensor + np.diff(ends, axis=0)
+    mean = draws.mean(axis=0)
+    rest = draws - mean
+    covariance = np.einsum("plc,pld->lcd", rest, rest.conj()) / (periods * (periods - 1))
+    log = replace(right, matrix=mean[..., None], covariance=covariance, covariance_dof=periods - 1.0)
+    found = certificate(replace(asked(after=("after",)), estimate=()), log, FILE)
+    assert abs(found.amount("chi2_reduced").value - 1) < 3 * np.sqrt(2 / (4 * len(FREQUENCY)))
+    assert [f.message[:2] for f in found.findings if f.code == "computed"] == ["x "]
 
 
 @pytest.mark.long

@@ -5,20 +5,34 @@ known.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError, LabpipeError
+from labpipe.estimation.budget import with_sources
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.wear.fit import healthy_findings, rival_findings
+from labpipe.methods.wear.fit import _Solved, _without_prior, healthy_findings, rival_findings
 from labpipe.methods.wear.search import Minimum
-from labpipe.methods.wear.settings import posterior, with_prior
+from labpipe.methods.wear.settings import UNITS, Gaussian, posterior, with_prior
+from labpipe.project.work import _begin
+from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Region
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, Goodness, random_part
 from labpipe.records.uncertain import Uncertain
-from tests.methods.wear.worn_cases import LINES, NUISANCES, fit_settings, measured, misfit_of, worn_rig
+from labpipe.uncertainty.amounts import parameter_changes, with_error
+from tests.methods.wear.worn_cases import (
+    LINES,
+    NUISANCES,
+    RIG,
+    fit_settings,
+    measured,
+    misfit_of,
+    wear_settings,
+    worn_rig,
+)
 
 BAND = np.concatenate([np.arange(12.0, 48.0, 2.0), np.arange(70.0, 95.0, 1.0)])
 TRUE_BEARING = {"viscosity": 0.1044 * 1.03, "clearance": 90e-6 * 0.98}
@@ -257,6 +271,75 @@ def test_a_value_beside_the_prior_that_tuned_it_is_refused(joint: Fit) -> None:
         with_prior(fit_settings(prior="tuning", viscosity=Uncertain(0.1)), tuned)
     beside = with_prior(fit_settings(prior="tuning", beta=Uncertain(1e-4)), tuned).model_settings
     assert beside.fixed_values == {"beta": 1e-4} and "viscosity" in beside.nuisance_prior.names
+
+
+def linear_fit(name: str, parameters: list[Parameter]) -> Fit:
+    """A fit of 9 real equations that has only its parameters."""
+    return Fit(
+        name,
+        "worn-bearing",
+        "ml",
+        band_hz=(1.0, 2.0),
+        lines=9,
+        equations=9,
+        dof=7,
+        gof=Goodness(1.0, 1.0, 1.0, 0.5),
+        parameters=tuple(parameters),
+        condition_number=1.0,
+        correlation=np.eye(len(parameters)),
+        test=name,
+    )
+
+
+def test_tests_that_share_a_tuning_have_its_error_in_common() -> None:
+    """Of two linear tests, estimates (J^T J + P^-1)^-1 (J^T y + P^-1 mu): by mu they have the covariance A P
+    B^T, A and B their slopes by mu, and each its whole variance.
+    """
+    rng = np.random.default_rng(8)
+    spread = np.array([[4.0, 1.5], [1.5, 2.0]])
+    prior = Gaussian.of(("viscosity", "clearance"), (0.1, 9e-5), spread)
+    rows = np.pad(np.linalg.inv(np.linalg.cholesky(spread)), [(0, 0), (1, 0)])
+    names, fits, slopes, whole = ("wear_depth", *prior.names), [], [], []
+    for _ in range(2):
+        jacobian = np.vstack([rng.standard_normal((9, 3)), rows])
+        covariance = np.linalg.inv(jacobian.T @ jacobian)
+        errors = np.sqrt(np.diag(covariance))
+        stated = [
+            with_error(name, "1", 1.0, float(error), 1.96) for name, error in zip(names, errors, strict=True)
+        ]
+        plain = linear_fit("wear", stated)
+        model = SimpleNamespace(names=names, scale=np.ones(3), prior=prior)
+        misfit = SimpleNamespace(model=model, n_prior=2, jacobian=lambda _, rows=jacobian: rows)
+        solved = _Solved(misfit, (SimpleNamespace(parameters=None),), covariance, 0 * covariance)
+        fits.append(with_sources(*_without_prior(plain, solved, wear_settings(prior="tuning"))))
+        slopes.append(covariance @ np.vstack([np.zeros(2), np.linalg.inv(spread)]))
+        whole.append(covariance[0, 0])
+    changes = parameter_changes(fits, "wear_depth")
+    common = slopes[0] @ spread @ slopes[1].T
+    assert changes[:, 0] @ changes[:, 1] == pytest.approx(common[0, 0])
+    assert [source.source for source in fits[0].budget.sources] == [
+        "tuning.viscosity = 0.1 Pa.s",
+        "tuning.clearance = 9e-05 m",
+    ]
+    depths = [fit.parameter("wear_depth") for fit in fits]
+    np.testing.assert_allclose([np.hypot(p.std_error, p.systematic) ** 2 for p in depths], whole)
+    np.testing.assert_allclose([random_part(fits[0], depths[0])], depths[0].std_error)
+
+
+@pytest.mark.parametrize("name", ["viscosity", "beta"])
+def test_a_tuning_of_another_oil_or_shaft_is_refused(name: str) -> None:
+    """It passed, and the file's own number was passed over."""
+    other = replace(RIG, rotor=replace(RIG.rotor, beta=1e-3))
+    other = other if name == "beta" else RIG.with_bearings(viscosity=0.05)
+    tuned = linear_fit("tuning", [Parameter(name, 0.104, UNITS[name], std_error=1e-3)])
+    earlier = replace(fit_settings(healthy=True, **{name: Uncertain(0.1, 0.005)}), name="tuning")
+    work = SimpleNamespace(pipeline=SimpleNamespace(path="p.yaml", fits=[earlier]), failed=[])
+    assert _begin(fit_settings(prior="tuning"), [tuned], work).model_settings.posterior.names == (name,)
+    with pytest.raises(
+        ConfigError, match=rf"p.yaml: identify.*'tuning' tuned {name}, .* of this fit"
+    ) as caught:
+        _begin(fit_settings(prior="tuning", rig=other), [tuned], work)
+    assert caught.value.hint.startswith(f"give {name} with its uncertainty")
 
 
 def test_a_tuned_parameter_at_its_bound_keeps_some_uncertainty(joint: Fit) -> None:
