@@ -67,7 +67,8 @@ def identify(
     """
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
-    check_kind(settings, _kind_of(measured))
+    of_decays = DECAYS if isinstance(measured, FreeDecays) else SPECTRA
+    check_kind(settings, RESPONSES if isinstance(measured, FrequencyResponse) else of_decays)
     if settings.peaks and isinstance(measured, FrequencyResponse):
         terms = (_diagonal_term(measured, settings, *peaks, judging) for peaks in settings.peaks)
         return tuple(itertools.chain(*terms))
@@ -117,12 +118,6 @@ def _fits(
     if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
         return fit_linear(measured, settings, judging=judging)
     return settings.kind.fit(measured, settings)
-
-
-def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
-    if isinstance(measured, FrequencyResponse):
-        return RESPONSES
-    return DECAYS if isinstance(measured, FreeDecays) else SPECTRA
 
 
 def fit_linear(

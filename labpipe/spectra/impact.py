@@ -262,9 +262,9 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     spectra = [average.spectra() for average in averages]
     findings.extend(average.slow_finding() for average in averages if average.slow)
     correlation = averages[0].line_correlation()
-    half_width, shared = _noise_lines(
-        sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation
-    )
+    # Lines to either side that the noise is averaged over, and how many share one value of it.
+    dof, shared = sum(s.averages for s in spectra) - len(layout.inputs), 1 + 2 * sum(abs(correlation) ** 2)
+    half_width = int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
     # chosen afterwards.
     everywhere = replace(settings, band=None, exclude=())
@@ -334,12 +334,6 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
     )
     layout = replace(layout, input_columns=inputs, output_columns=outputs)
     return [averages[number] for number in kept], layout
-
-
-def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
-    """Lines to either side that the noise is averaged over, and how many share one value of it."""
-    shared = 1.0 + 2 * float(np.sum(np.abs(correlation) ** 2))
-    return (int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0), shared
 
 
 class _HitAverage:

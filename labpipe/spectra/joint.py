@@ -69,13 +69,10 @@ def _covariance_of(there: ComplexArray, vectors: ComplexArray, noise: Sequence[C
         left = residual_of @ vectors[:, :, run : run + 1]
         update = crossed[:, :n_input] @ np.linalg.pinv(residual_of @ crossed, hermitian=True) @ left
         forces[:, :, run] = (vectors[:, :n_input, run : run + 1] - update)[:, :, 0]
-    return covariance_of_periodic(there, _inverse(forces), np.stack(list(noise)))
-
-
-def _inverse(forces: ComplexArray) -> ComplexArray:
-    """pinv(U), each force relative to its size: they differ by orders of magnitude."""
+    # Forces differ by orders of magnitude.
     size = np.sqrt(np.mean(np.abs(forces) ** 2, axis=(0, 2)))
-    return np.asarray(np.linalg.pinv(forces / size[:, None]) / size[None, None, :])
+    inverse = np.linalg.pinv(forces / size[:, None]) / size
+    return covariance_of_periodic(there, inverse, np.stack(list(noise)))
 
 
 def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> ComplexArray:

@@ -16,7 +16,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, uncorrelated
-from labpipe.records.uncertain import MatrixError
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
@@ -434,7 +433,11 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         matrix=levels.gain,
         covariance=(_mean_of(responses, "covariance") + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
-        errors=_mean_errors(responses),
+        # All were measured through the same sums.
+        errors=tuple(
+            replace(of_one[0], change=np.asarray(np.mean([error.change for error in of_one], axis=0)))
+            for of_one in zip(*(response.errors for response in responses), strict=True)
+        ),
         change=_mean_of(responses, "change"),
         open_loop=_mean_of(responses, "open_loop"),
         snr=_mean_of(responses, "snr"),
@@ -452,15 +455,6 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
 def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> Any:
     parts = [getattr(response, name) for response in responses]
     return None if any(part is None for part in parts) else np.mean(parts, axis=0)
-
-
-def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
-    """The systematic errors of the mean: all realisations were measured through the same sums."""
-    together = zip(*(response.errors for response in responses), strict=True)
-    return tuple(
-        MatrixError(errors[0].uncertainty, np.asarray(np.mean([error.change for error in errors], axis=0)))
-        for errors in together
-    )
 
 
 def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:

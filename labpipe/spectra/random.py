@@ -420,7 +420,9 @@ def parts_of_single_forces(
         noise = without_rounding(by_force - np.einsum("loi,lpi,li->liop", s_yu, s_yu.conj(), 1 / power))
         freedoms = _freedoms(spectra, layout)
         if apart:
-            dof, freedoms = _common_freedom(freedoms, len(layout.outputs)), freedoms[:, None, None]
+            # nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces.
+            less = freedoms - len(layout.outputs)
+            dof, freedoms = float(np.sum(freedoms / less) / np.sum(1 / less)), freedoms[:, None, None]
         else:
             left = np.einsum("lioo->loi", noise).real
             # Levels of every response would turn what all of them share.
@@ -447,12 +449,6 @@ def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
     least = float(np.min(dof))
     known = least > n_output and least**2 <= MOST_LOST * ((least - n_output) ** 2 - 1)
     return known and least >= LEAST_SHARE * float(np.max(dof))
-
-
-def _common_freedom(freedoms: FloatArray, n_output: int) -> float:
-    """nu of which nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces."""
-    excess = float(np.mean(freedoms / (freedoms - n_output)))
-    return n_output * excess / (excess - 1)
 
 
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:

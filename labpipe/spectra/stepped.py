@@ -4,6 +4,7 @@ scatter of blocks.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -278,7 +279,11 @@ def _lines(
         settle = settle_time(courses) if settings.settle is None else settings.settle
     except DataError as error:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
-    settling = _Settling(settle, min(settle, _settle_of_force(courses, settle)), settings.skip)
+    # The force alone gives the frequency.
+    steady = settle
+    with contextlib.suppress(DataError):
+        steady = min(settle, settle_time([Course(c.times, c.values[:, :1]) for c in courses]))
+    settling = _Settling(settle, steady, settings.skip)
     lines = [_line(source, samples, dwell, settling, force) for dwell in dwells]
     merged = _merge(lines)
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
@@ -334,14 +339,6 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
             values = block_amplitudes(part, frequency, length, count)
             courses.append(Course((np.arange(count) + 0.5) * length / rate, values))
     return courses
-
-
-def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """When the force alone is steady [s]: it gives the frequency."""
-    try:
-        return settle_time([Course(course.times, course.values[:, :1]) for course in courses])
-    except DataError:
-        return otherwise
 
 
 def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Settling, force: int) -> Line:

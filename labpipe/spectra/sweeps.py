@@ -269,7 +269,11 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     pieces = [piece for run in _runs(times) for piece in _one_way(times[run[0] : run[1]], run[0])]
     runs = _continue([times[first:last] for first, last in pieces if last - first > LEAST_SWEPT_PERIODS])
     sweeps = [_sweep(force, run) for run in runs]
-    sweeps = _reaching(force, [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low])
+    sweeps = [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low]
+    # As far as the force follows their law, beyond its last clear crossings.
+    before, after = [0, *(s.stop for s in sweeps)], [*(s.start for s in sweeps[1:]), force.size]
+    reach = zip(sweeps, before, after, strict=False)
+    sweeps = [_extend(_extend(sweep, force, low, -1), force, high, 1) for sweep, low, high in reach]
     if not sweeps:
         raise DataError("the force holds no sweep", hint=_SWEEP_HINT)
     loudest, longest = max(sweep.level for sweep in sweeps), max(sweep.stop - sweep.start for sweep in sweeps)
@@ -353,15 +357,6 @@ def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
 def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
     return middle, np.concatenate([1 / np.diff(times) for times in run])
-
-
-def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSweep]:
-    """The sweeps as far as the *force* follows their law, beyond its last clear crossings."""
-    edges = [0, *(sweep.stop for sweep in sweeps)], [*(sweep.start for sweep in sweeps), force.size]
-    return [
-        _extend(_extend(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
-        for n, sweep in enumerate(sweeps)
-    ]
 
 
 def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:

@@ -112,19 +112,21 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         names = ", ".join(port.label for port in layout.inputs)
         what = f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})"
         raise DataError(what, hint="one sweep or more for each force")
-    n_sample = _common_length(swept)
+    every = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)]
+    n_sample = max(*(sweep.stop - start for sweep, (start, _) in every), min(b - a for _, (a, b) in every))
     blocks = np.concatenate(
         [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
     )
     band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
     if band[0] >= band[1]:
         raise DataError("the sweeps have no band in common", hint="one test for each band")
-    filled = np.array([(stop - start) / n_sample for run in swept for start, stop in run.cuts])
+    filled = np.array([(stop - start) / n_sample for _, (start, stop) in every])
     filled[filled > WHOLE] = 1.0
     spectra = _in_band(blocks, filled, rate / n_sample, band, n_input, settings)
-    spectra = spectra.select(
-        lines_left(spectra.frequency, settings) & _driven_lines(spectra.blocks[:, :, :n_input])
-    )
+    level = np.linalg.norm(spectra.blocks[:, :, :n_input], axis=0)
+    usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
+    driven = np.all(level >= LEAST_SHARE * usual, axis=1)
+    spectra = spectra.select(lines_left(spectra.frequency, settings) & driven)
     leakage: tuple[Finding, ...] = ()
     # The noise of one sweep is what the local fit leaves, beside its leakage.
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
@@ -162,14 +164,6 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
     whole = [n for n, sweep in enumerate(sweeps) if sweep.high - sweep.low >= WHOLE * widest]
     kept, left_out = [sweeps[n] for n in whole], [s for n, s in enumerate(sweeps) if n not in whole]
     return _Swept(source.name, kept, [places[n] for n in whole], samples, left_out)
-
-
-def _common_length(swept: Sequence[_Swept]) -> int:
-    between = min(stop - start for run in swept for start, stop in run.cuts)
-    longest = max(
-        sweep.stop - start for run in swept for sweep, (start, _) in zip(run.sweeps, run.cuts, strict=True)
-    )
-    return max(between, longest)
 
 
 def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
@@ -240,13 +234,6 @@ def _in_band(
     around = blocks[:, numbers[0] - half_width : numbers[-1] + half_width + 1]
     local = local_noise(around[:, :, :n_input], around[:, :, n_input:], settings.degree, half_width, filled)
     return _Spectra(frequency[inside], blocks[:, inside], filled, local)
-
-
-def _driven_lines(forces: ComplexArray) -> BoolArray:
-
-    level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
-    usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
-    return np.asarray(np.all(level >= LEAST_SHARE * usual, axis=1))
 
 
 def _without_leakage(
@@ -468,8 +455,7 @@ def _bursts(
     block, part, output = np.unravel_index(np.argmax(share), share.shape)
     if share[block, part, output] < BURST_SHARE:
         return ()
-    sweeps = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)]
-    sweep, (begin, _) = sweeps[block]
+    sweep, (begin, _) = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)][block]
     ends = [begin + int(part + n) * length for n in range(2)]
     low, high = sorted(rate * sweep.frequency_at(end) for end in ends)
     label, percent = layout.outputs[noisy[output]].label, 100 * share[block, part, output]
