@@ -56,7 +56,11 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and np.any(lines):
         lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
-        _refuse_lines(acting)
+        if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
+            what = "no line is excited by all forces independently: their lines are interleaved"
+            raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
+        hint = "check `period` and `band`, or raise the level"
+        raise DataError("no line of the force exceeds its noise", hint=hint)
     spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
@@ -161,14 +165,6 @@ def _change(
     n_input = len(layout.inputs)
     old, new = (mean[:, n_input:] @ force_inverse(mean[:, :n_input], layout) for mean in (before, after))
     return new - old
-
-
-def _refuse_lines(acting: BoolArray) -> None:
-    if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
-        what = "no line is excited by all forces independently: their lines are interleaved"
-        raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    hint = "check `period` and `band`, or raise the level"
-    raise DataError("no line of the force exceeds its noise", hint=hint)
 
 
 def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
@@ -428,6 +424,12 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     every = np.ones(first.n_frequency, bool)
     excess = neighbourhood_mean(levels.total**2 - levels.noise**2, every, half_width)
     distortion = np.sqrt(np.maximum(excess, 0.0))
+    size = np.sqrt(np.mean(np.abs(levels.gain) ** 2))
+    sizes = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, levels.noise))
+    message = (
+        "{} realisations of the phases: nonlinearity scatters the FRF by {:.2g} % (rms), "
+        "noise by {:.2g} % in each"
+    )
     return replace(
         first,
         matrix=levels.gain,
@@ -447,7 +449,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         ),
         findings=(
             *dict.fromkeys(f for response in responses for f in response.findings),
-            _distortion_note(levels.gain, distortion, levels.noise, m),
+            note("distortion", message.format(m, *sizes)),
         ),
     )
 
@@ -455,13 +457,3 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
 def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> Any:
     parts = [getattr(response, name) for response in responses]
     return None if any(part is None for part in parts) else np.mean(parts, axis=0)
-
-
-def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:
-    size = np.sqrt(np.mean(np.abs(matrix) ** 2))
-    nonlinear, noisy = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, noise))
-    message = (
-        f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), "
-        f"noise by {noisy:.2g} % in each"
-    )
-    return note("distortion", message)

@@ -50,7 +50,9 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
     times = rising_crossings(force - np.mean(force))
     if times.size <= LEAST_PERIODS:
         raise DataError(f"the force has {times.size} periods, too few for a dwell", hint=_HINT)
-    scatter = _scatter(times)
+    # Standard deviation of a crossing [periods], from the second differences: those of a step are few.
+    bend = np.diff(times, 2) / (0.5 * (times[2:] - times[:-2]))
+    scatter = max(float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6)), LEAST_SCATTER)
     if scatter > MOST_SCATTER:
         raise DataError(f"the force is no sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
     pieces = [
@@ -100,12 +102,6 @@ def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
     level = np.add.reduceat(values, begins) / size
     slope = np.add.reduceat((number - np.repeat(centre, size)) * values, begins) * 12 / (size * (size**2 - 1))
     return np.asarray(before + centre - level / slope)
-
-
-def _scatter(times: FloatArray) -> float:
-    """Standard deviation of a crossing [periods], from the second differences: those of a step are few."""
-    bend = np.diff(times, 2) / (0.5 * (times[2:] - times[:-2]))
-    return max(float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6)), LEAST_SCATTER)
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
@@ -443,9 +439,8 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
     ends = [0, *(sweep.stop for sweep in sweeps)]
     starts = []
     for sweep, before in zip(sweeps, ends, strict=False):
-        early = sweep.start - int(
-            np.ceil(max(MARGIN / sweep.first, MARGIN_SHARE * (sweep.stop - sweep.start)))
-        )
+        margin = max(MARGIN / sweep.first, MARGIN_SHARE * (sweep.stop - sweep.start))
+        early = sweep.start - int(np.ceil(margin))
         # Without a pause the cut lies between the last crossing of one sweep and the first of the next.
         starts.append(max(early, 0 if before == 0 else (before + sweep.start + 1) // 2))
     return list(zip(starts, [*starts[1:], n_sample], strict=True))
