@@ -66,7 +66,11 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
     if dof <= 0:
         what = f"{amplitude.size} amplitudes cannot determine {len(model.terms)} parameters"
         raise FitError(what, hint="widen the band")
-    std = _amplitude_noise(measured)
+    # Standard deviation of |H| [m/N]: half of the variance of H is along H.
+    std = None
+    if measured.covariance is not None and has_noise(measured):
+        variance = measured.covariance.reshape(-1).real
+        std = np.sqrt(variance / 2) if np.all(variance > 0) else None
     if weight == "noise" and std is None:
         what = "the noise of the FRF is not known, so lines cannot weigh by it"
         raise FitError(what, hint="leave `weight` out")
@@ -87,14 +91,6 @@ def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none")
         iterations=steps,
         notes=(NOTE,),
     )
-
-
-def _amplitude_noise(measured: Measured) -> FloatArray | None:
-    """Standard deviation of |H| [m/N]: half of the variance of H is along H."""
-    if measured.covariance is None or not has_noise(measured):
-        return None
-    variance = measured.covariance.reshape(-1).real
-    return np.sqrt(variance / 2) if np.all(variance > 0) else None
 
 
 def _linear(problem: _Amplitudes) -> tuple[FloatArray, FloatArray]:

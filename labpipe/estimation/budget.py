@@ -318,7 +318,12 @@ def _misalign(number: int, sign: float, case: Case, error: float) -> Case:
     """
     across = across_ports(case.measured.outputs) if sign > 0 else None
     if across is None or not np.any(across[number]):
-        return replace(case, setup=_turn(case.setup, number, sign, error))
+        side = "outputs" if sign > 0 else "inputs"
+        ports = list(getattr(case.setup, side))
+        angle = ports[number].angle
+        ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
+        changed: dict[str, Any] = {side: tuple(ports)}
+        return replace(case, setup=replace(case.setup, **changed))
     matrix = case.measured.matrix
     return _with_matrix(case, matrix + error * turn(matrix, number, across, of_forces=False))
 
@@ -335,15 +340,6 @@ def across_findings(setup: Setup, budget: uncertain.Budget) -> Iterator[Finding]
     if len(setup.outputs) == 1 and turned & {source.source for source in budget.sources}:
         what = f"direction of {setup.outputs[0].label}: no other output tells the motion across, which counts"
         yield Finding("number-uncertainty", f"{what} as if it were alike")
-
-
-def _turn(setup: Setup, number: int, sign: float, error: float) -> Setup:
-    side = "outputs" if sign > 0 else "inputs"
-    ports = list(getattr(setup, side))
-    angle = ports[number].angle
-    ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
-    changed: dict[str, Any] = {side: tuple(ports)}
-    return replace(setup, **changed)
 
 
 def _with_settings(case: Case, **changed: Any) -> Case:

@@ -264,11 +264,10 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     """
     if not has_noise(measured):
         return {}
-    channels = late_channels(measured)
     try:
         grids = [
             (*start, name)
-            for name, late in channels
+            for name, late in late_channels(measured)
             for start in _best_of_grid(measured, model, values, late)
         ]
     except (FitError, np.linalg.LinAlgError):
@@ -300,7 +299,7 @@ def _best_of_grid(
 
     # H without a delay is the same all over the grid.
     still = delayed.model.receptance(values, omega)
-    delays = [float(delay) for delay in delays_of_grid(float(omega[-1]))]
+    delays = delays_of_grid(float(omega[-1])).tolist()
     places = [(chi2(still * delayed.turned(delay, omega)), np.append(values, delay)) for delay in delays]
     for delay in delays if late.size == 1 else ():
         back = replace(measured, matrix=measured.matrix / delayed.turned(delay, omega))

@@ -270,7 +270,13 @@ class _Scene:
         total = np.einsum("s,spq->pq", weight, covariances) + between
         noise = np.linalg.inv(plain.normal)
         unit = np.outer(self.scale, self.scale)
-        covariance = _calibrate(total, noise) / unit
+        # The total and (1.5^2 - 1) of what it exceeds the noise by.
+        root = np.linalg.cholesky(noise)
+        inverse = np.linalg.inv(root)
+        values, vectors = np.linalg.eigh(inverse @ total @ inverse.T)
+        grown = values + (CALIBRATION**2 - 1) * np.maximum(values - 1, 0.0)
+        turned = root @ vectors
+        covariance = (turned * grown) @ turned.T / unit
         shares = {str(label): float(np.sum(weight[labels == label])) for label in dict.fromkeys(labels)}
         growth = float(np.max(np.sqrt(np.diag(covariance * unit) / np.diag(noise))))
         return CoefficientError(at + mean / self.scale, covariance, noise / unit, shares, growth)
@@ -426,13 +432,3 @@ def _evidence(
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     left, right = (part.reshape(-1, part.shape[-1]) for part in (first, second))
     return np.asarray((left.conj().T @ right).real)
-
-
-def _calibrate(total: FloatArray, noise: FloatArray) -> FloatArray:
-    """total + (1.5^2 - 1) of what it exceeds *noise* by, all (n, n) [1]."""
-    root = np.linalg.cholesky(noise)
-    inverse = np.linalg.inv(root)
-    values, vectors = np.linalg.eigh(inverse @ total @ inverse.T)
-    grown = values + (CALIBRATION**2 - 1) * np.maximum(values - 1, 0.0)
-    turned = root @ vectors
-    return np.asarray((turned * grown) @ turned.T)

@@ -67,7 +67,8 @@ def identify(
     """
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
-    check_kind(settings, _kind_of(measured))
+    of_decays = DECAYS if isinstance(measured, FreeDecays) else SPECTRA
+    check_kind(settings, RESPONSES if isinstance(measured, FrequencyResponse) else of_decays)
     if settings.peaks and isinstance(measured, FrequencyResponse):
         terms = (_diagonal_term(measured, settings, *peaks, judging) for peaks in settings.peaks)
         return tuple(itertools.chain(*terms))
@@ -117,12 +118,6 @@ def _fits(
     if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
         return fit_linear(measured, settings, judging=judging)
     return settings.kind.fit(measured, settings)
-
-
-def _kind_of(measured: FrequencyResponse | FreeDecays | ChannelSpectra) -> str:
-    if isinstance(measured, FrequencyResponse):
-        return RESPONSES
-    return DECAYS if isinstance(measured, FreeDecays) else SPECTRA
 
 
 def fit_linear(
@@ -280,7 +275,7 @@ def _fit_band(
         else ((), ())
     )
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
-    late = _late_channel(case) if judging else {}
+    doubts = _doubts(case, judged) if judging else {}
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -289,7 +284,7 @@ def _fit_band(
             *diagnostics.goodness_findings(estimate.gof),
             *leakage,
             *judged.findings,
-            *(late.values() or (_mass_findings(case, judged) if judging else ())),
+            *doubts.values(),
             *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
             *budgeted.findings,
             *comparison_findings(compared_models),
@@ -299,7 +294,7 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(_with_delay_as_cause(fit, judgement, *late), fitted, model, estimate.values)
+    return _BandFit(_with_delay_as_cause(fit, judgement, *doubts), fitted, model, estimate.values)
 
 
 def _with_delay_as_cause(fit: Fit, judgement: Judgement, late: str = "") -> Fit:
@@ -450,28 +445,21 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _model_to_question(case: Case) -> DynamicModel | None:
-    """The model where a delay or another mass is asked for: one linear in its parameters, responses of
-    reliable phase to a force, a mass without uncertainty.
+def _doubts(case: Case, judged: _Judged) -> dict[str, Finding]:
+    """A channel that is late, by its name, else "" for a mass without uncertainty against a free one: a
+    channel that is late makes any mass look wrong. Of a model linear in its parameters, responses of reliable
+    phase to a force, a mass without uncertainty.
     """
     settings, model = case.setup.settings, case.model
     has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
     is_sound = settings.estimates.phase and case.estimate.converged and not has_error
-    return model if is_sound and isinstance(model, DynamicModel) else None
-
-
-def _late_channel(case: Case) -> dict[str, Finding]:
-    model, chance = _model_to_question(case), case.estimate.gof.chi2_p
-    if model is None or chance is None or chance >= diagnostics.MISMATCH_P:
+    if not is_sound or not isinstance(model, DynamicModel):
         return {}
-    return causes.delay_findings(case.measured, model, case.estimate.values)
-
-
-def _mass_findings(case: Case, judged: _Judged) -> list[Finding]:
-    """A mass without uncertainty against a free one; a channel that is late makes any mass look wrong."""
-    if (model := _model_to_question(case)) is None:
-        return []
-    return causes.mass_findings(case.measured, model, case.estimate.values, case.setup, judged.stated)
+    values, chance, late = case.estimate.values, case.estimate.gof.chi2_p, {}
+    if chance is not None and chance < diagnostics.MISMATCH_P:
+        late = causes.delay_findings(case.measured, model, values)
+    masses = () if late else causes.mass_findings(case.measured, model, values, case.setup, judged.stated)
+    return {"": masses[0]} if masses else late
 
 
 def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:

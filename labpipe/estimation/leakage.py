@@ -313,7 +313,11 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
         return None
     points = leakage.points_of(model, parameters)
     deviation = points - np.einsum("m,lmoi->loi", leakage.kernel.weights, points)[:, None]
-    blocks, ratios = leakage.kernel.blocks, _force_ratios(measured)
+    # Power of every force over that of each, by the noise of H, which is over it.
+    _, n_output, n_input = measured.matrix.shape
+    variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
+    power = np.median(variance[:, :, :1] / variance, axis=(0, 1))
+    blocks, ratios = leakage.kernel.blocks, np.outer(power, 1 / power)
     alone = np.eye(len(ratios))
     of_residual = alone if blocks.apart else ratios
     apparent = _by_force(deviation * leakage.kernel.weights[:, None, None], deviation, of_residual)
@@ -331,15 +335,6 @@ def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatA
         other = white[first] @ turned @ white[second].swapaxes(1, 2)
         pairs.append(LinePairs(first, second, correlated, other))
     return LineBlocks(measured.omega.size, tuple(pairs))
-
-
-def _force_ratios(measured: Measured) -> FloatArray:
-    """Power of every force over that of each, (n_input, n_input) [1], by the noise of H, which is over it."""
-    assert measured.covariance is not None
-    _, n_output, n_input = measured.matrix.shape
-    variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
-    power = np.median(variance[:, :, :1] / variance, axis=(0, 1))
-    return np.outer(power, 1 / power)
 
 
 def _scatter(

@@ -49,14 +49,12 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
                 continue
             group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
             group.append((level, text, fit))
-    new = dict(pair for group in groups.values() for pair in _of_group(group))
+    new = {}
+    for tests in groups.values():
+        low, high = (of(tests, key=lambda test: test[0]) for of in (min, max))
+        if low[0] < high[0] and (message := _difference(low, high)):
+            new[id(high[-1])] = Finding("amplitude", message)
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
-
-
-def _of_group(tests: list[_Test]) -> list[tuple[int, Finding]]:
-    low, high = (of(tests, key=lambda test: test[0]) for of in (min, max))
-    message = _difference(low, high) if low[0] < high[0] else ""
-    return [(id(high[-1]), Finding("amplitude", message))] if message else []
 
 
 def _difference(low: _Test, high: _Test) -> str:

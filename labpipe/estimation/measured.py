@@ -140,7 +140,10 @@ def measured_part(
     matrix = (chosen(response.matrix) - view.offset) / factor[:, None, None]
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
-    _check_moving(matrix, [port.label for port in outputs])
+    still = [port.label for row, port in enumerate(outputs) if not np.any(matrix[:, row])]
+    if still:
+        what = f"the FRF of {', '.join(still)} is zero at every line of the band"
+        raise FitError(what, hint="is the sensor connected?")
     elements = [row * len(response.inputs) + column for row in rows for column in columns]
     covariance = _chosen_covariance(response, elements, lines, factor)
     dof, noise_lines = response.covariance_dof, 1.0
@@ -223,13 +226,6 @@ def _share(numbers: IntArray, correlation: FloatArray) -> float:
     distances = range(1, min(correlation.size + 1, chosen.size))
     pairs = [np.dot(chosen[distance:], chosen[:-distance]) for distance in distances]
     return 1.0 + 2 * float(np.dot(pairs, correlation[: len(pairs)])) / numbers.size
-
-
-def _check_moving(matrix: ComplexArray, labels: list[str]) -> None:
-    still = [label for row, label in enumerate(labels) if not np.any(matrix[:, row])]
-    if still:
-        what = f"the FRF of {', '.join(still)} is zero at every line of the band"
-        raise FitError(what, hint="is the sensor connected?")
 
 
 # Errors are tried at this share of their standard uncertainty on either side: slopes at the estimate.

@@ -237,9 +237,11 @@ class OutputError(Generic[Model]):
 
     def linearised(self, parameters: FloatArray) -> Linearisation:
         """The linearisation at *parameters* (n_parameter,) [parameter units], by line products if exact."""
-        linear = self._linear_at(parameters)
-        if linear is not None and has_line_products(linear[0], self.weights):
-            model, values, slopes = linear
+        model: Any = self.model
+        values, slopes = parameters, np.eye(parameters.size)
+        if isinstance(model, FactorModel):
+            model, values, slopes = model.expanded, model.expanded_values(values), model.slopes(values)
+        if isinstance(model, DynamicModel) and has_line_products(model, self.weights):
             equations = self._normal_equations(model, values)
             factor = triangle_of_products(slopes.T @ equations.products @ slopes)
             if factor is not None:
@@ -247,13 +249,6 @@ class OutputError(Generic[Model]):
                 projected = np.linalg.solve(triangle.T, (slopes.T @ equations.projected) / scale)
                 return Linearisation(triangle, projected, scale, equations.square, self.measured.n_equation)
         return linearised(self, parameters)
-
-    def _linear_at(self, parameters: FloatArray) -> tuple[DynamicModel, FloatArray, FloatArray] | None:
-        if isinstance(self.model, FactorModel):
-            return self.model.expanded, self.model.expanded_values(parameters), self.model.slopes(parameters)
-        if isinstance(self.model, DynamicModel):
-            return self.model, parameters, np.eye(parameters.size)
-        return None
 
     def _normal_equations(self, model: DynamicModel, parameters: FloatArray) -> NormalEquations:
         measured, force = self.measured, model.whole(parameters).force

@@ -212,7 +212,8 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
         else:
             stated.append(parameter)
     # Beside the parts of given numbers, those of noise and repeats.
-    random = {p.name: _random(p) for p in stated if p.name in means}
+    errors = ((p.name, p.full_error or 0.0, p.systematic or 0.0) for p in stated if p.name in means)
+    random = {name: float(np.sqrt(max(full**2 - part**2, 0.0))) for name, full, part in errors}
     return replace(
         pooled,
         parameters=tuple(stated),
@@ -220,11 +221,6 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
         findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
         notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )
-
-
-def _random(parameter: Parameter) -> float:
-    full, systematic = parameter.full_error or 0.0, parameter.systematic or 0.0
-    return float(np.sqrt(max(full**2 - systematic**2, 0.0)))
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def rate_of(scalars: Mapping[str, float], where: Path, units: Mapping[str, str])
         return {
             name: value * _factor(units.get(name, ""), si_unit)
             for name, value in scalars.items()
-            if _is_named(name, names)
+            if (last := _last(name).lower()) in names or last.removeprefix("time_") in names
         }
 
     steps = named(STEPS, "s").items()
@@ -114,11 +114,6 @@ def _factor(unit: str, si_unit: str) -> float:
 
 def _last(name: str) -> str:
     return re.split("[./]", name)[-1]
-
-
-def _is_named(name: str, names: tuple[str, ...]) -> bool:
-    last_part = _last(name).lower()
-    return last_part in names or last_part.removeprefix("time_") in names
 
 
 # What lists of texts beside the channels are, by the last part of their name; and the words of an analyser

@@ -339,7 +339,9 @@ def unit_text(text: str) -> str:
         word, power = match[1], match[2]
         place = match.end()
         if word == "tothe" and parts and power and re.fullmatch(r"[+-]?\d+(\.\d+)?", power) and not prefix:
-            parts[-1][1] += power.lstrip("+") if not parts[-1][1] else _negate(power)
+            if parts[-1][1] and power[0] == "-":
+                raise UnitError(f"a negative power '{power}' behind \\per says two things")
+            parts[-1][1] += power.lstrip("+")
         elif power is None and word == "per" and not sign and not prefix:
             sign = "-"
         elif power is None and word in _PREFIXES and not prefix:
@@ -353,12 +355,6 @@ def unit_text(text: str) -> str:
         raise UnitError(f"the unit '{text[:80]}' ends too early")
     powers = {"": "", "-": "^-1"}
     return ".".join(symbol + powers.get(power, f"^{power}") for symbol, power in parts)
-
-
-def _negate(power: str) -> str:
-    if power.startswith("-"):
-        raise UnitError(f"a negative power '{power}' behind \\per says two things")
-    return power.lstrip("+")
 
 
 _UNIT_PART = re.compile(r"([./]?)\(?([A-Za-z%]+|1)(?:\^\(?([+-]?\d+(?:\.\d+)?)\)?)?\)?")

@@ -83,19 +83,13 @@ def design_multisine(
     if odd_only:
         lines = lines[lines % 2 == 1]
     if leave_out:
-        lines = np.delete(lines, _left_out(lines.size, leave_out, seed))
+        # The first and the last line stay, so that the band is kept.
+        starts = np.arange(1, lines.size - leave_out, leave_out)
+        lines = np.delete(lines, starts + np.random.default_rng(seed).integers(0, leave_out, starts.size))
     if not lines.size:
         what = f"no line every {spacing:g} Hz lies in {band[0]:g}-{band[1]:g} Hz"
         raise ConfigError(what, hint="widen the band or narrow the spacing")
     return Multisine(lines, PHASES[phases](lines, seed), spacing, rms)
-
-
-def _left_out(n_line: int, group: int, seed: int) -> IntArray:
-    """Indices of one line in every complete group of *group* lines. The first and the last line stay, so that
-    the band is kept.
-    """
-    starts = np.arange(1, n_line - group, group)
-    return np.asarray(starts + np.random.default_rng(seed).integers(0, group, starts.size))
 
 
 def crest_factor(signal: FloatArray) -> float:
@@ -188,7 +182,10 @@ class Sweep:
             )
         n_sample = round(self.duration * sample_rate)
         time = np.arange(n_sample) / sample_rate
-        size = np.sqrt(2) * self.rms * _fade(time / self.duration)
+        # Half a cosine at either end.
+        place = time / self.duration
+        edge = np.minimum(np.minimum(place, 1 - place) / FADE, 1.0)
+        size = np.sqrt(2) * self.rms * np.sin(np.pi / 2 * edge) ** 2
         quiet = np.zeros(round(self.pause * sample_rate))
         falls = {"up": (False,), "down": (True,), "up-down": (False, True)}[self.direction]
         sweeps = [np.append(size * np.sin(self.phase(time, fall)), quiet) for fall in falls]
@@ -204,12 +201,6 @@ class Sweep:
             return np.asarray(2 * np.pi * (first * time + (last - first) * time**2 / (2 * self.duration)))
         growth = np.log(last / first) / self.duration
         return np.asarray(2 * np.pi * first * np.expm1(growth * time) / growth)
-
-
-def _fade(place: FloatArray) -> FloatArray:
-    """Amplitude [1] at a *place* (n,) [1] of the sweep: half a cosine at either end."""
-    edge = np.minimum(np.minimum(place, 1 - place) / FADE, 1.0)
-    return np.asarray(np.sin(np.pi / 2 * edge) ** 2)
 
 
 # The peak of a sum of sines is taken between this many samples per period of the highest line.

@@ -44,7 +44,9 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
     force = force - np.mean(force)
     period = find_period(force)
     if period:
-        return Excitation("periodic", period, _line_band(force, period, sample_rate), force.size // period)
+        whole = force[: force.size // period * period].reshape(-1, period)
+        lines = _excited(np.abs(fft.rfft(whole.mean(axis=0))) ** 2) * sample_rate / period
+        return Excitation("periodic", period, (float(lines[0]), float(lines[-1])), len(whole))
     length = round_down(max(force.size // BLOCKS, 2))
     return Excitation("random", length, _band(force, sample_rate), force.size // length)
 
@@ -97,12 +99,6 @@ def round_down(samples: int) -> int:
 def _excited(power: FloatArray) -> IntArray:
     above_zero = np.append(0.0, power[1:])
     return np.flatnonzero(above_zero > EXCITED * above_zero.max())
-
-
-def _line_band(force: FloatArray, period: int, sample_rate: float) -> tuple[float, float]:
-    whole = force[: force.size // period * period].reshape(-1, period).mean(axis=0)
-    lines = _excited(np.abs(fft.rfft(whole)) ** 2) * sample_rate / period
-    return float(lines[0]), float(lines[-1])
 
 
 def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
@@ -177,13 +173,11 @@ class SpectrumTrack:
         joined = np.concatenate([self._rest, block])
         whole = joined.shape[0] // self._block
         for number in range(whole):
-            self._take(joined[number * self._block : (number + 1) * self._block])
+            rows = joined[number * self._block : (number + 1) * self._block]
+            complete = np.isfinite(rows).all(axis=0)
+            self._power[:, complete] += _density(rows[:, complete])
+            self._count += complete
         self._rest = joined[whole * self._block :]
-
-    def _take(self, rows: FloatArray) -> None:
-        complete = np.isfinite(rows).all(axis=0)
-        self._power[:, complete] += _density(rows[:, complete])
-        self._count += complete
 
     def spectra(self, sample_rate: float | None) -> tuple[Spectrum, ...]:
         """The spectrum of every channel; for a recording shorter than a block, that of all its samples."""
@@ -207,5 +201,4 @@ def _density(rows: FloatArray) -> FloatArray:
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
     power = np.abs(fft.rfft((rows - rows.mean(axis=0)) * window[:, None], axis=0)) ** 2 / np.sum(window**2)
     power[1 : (n + 1) // 2] *= 2
-    density: FloatArray = power
-    return density
+    return np.asarray(power)

@@ -19,7 +19,7 @@ from labpipe.raw_files.frf_csv import checked_coherence, cube, port_of
 from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
 from labpipe.raw_files.simcenter import Signals, signals_of
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
-from labpipe.raw_files.text_table import fields_of, find_layout, open_text, plain_suffix
+from labpipe.raw_files.text_table import find_layout, plain_suffix, rows_of_fields
 from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
 from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.registry import nearest
@@ -58,20 +58,7 @@ class TextColumns:
         self.layout = find_layout(path, is_complex)
         self.columns = self.layout.names
         self.units = self.layout.units
-        self._rows = self._read()
-
-    def _read(self) -> list[tuple[int, list[str]]]:
-        layout, rows = self.layout, []
-        with open_text(self.path, layout.encoding) as lines:
-            for number, line in enumerate(lines, 1):
-                if number <= layout.first_line or not line.strip():
-                    continue
-                fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
-                if len(fields) != len(layout.names):
-                    what = f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before"
-                    raise DataError(what, f"{self.path}:{number}")
-                rows.append((number, fields))
-        return rows
+        self._rows = list(rows_of_fields(path, self.layout))
 
     def column(self, index: int) -> ComplexArray:
         """The numbers of a column (n_row,) [unit of the file]. DataError names the line of the first that is

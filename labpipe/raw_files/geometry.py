@@ -39,7 +39,8 @@ def read_geometry_uff(path: Path) -> Geometry:
             if number in (NODES, DOUBLE_NODES):
                 _add_nodes(nodes, lines, path)
             elif number == TRACE:
-                pairs += _trace(lines)
+                labels = [int(word) for word in " ".join(lines[2:]).split()]
+                pairs += [(a, b) for a, b in pairwise(labels) if a and b]
             elif number == ELEMENTS:
                 pairs += _elements(lines)
             elif number == UNITS:
@@ -78,11 +79,6 @@ def _add_nodes(nodes: dict[int, list[float]], lines: list[str], path: Path) -> N
         label, position = int(words[n]), list(map(real, words[n + 4 : n + 7]))
         if nodes.setdefault(label, position) != position:
             raise DataError(f"node {label} lies at two places", path, "leave one of them out")
-
-
-def _trace(lines: list[str]) -> list[tuple[int, int]]:
-    labels = [int(word) for word in " ".join(lines[2:]).split()]
-    return [(a, b) for a, b in pairwise(labels) if a and b]
 
 
 def _elements(lines: list[str]) -> list[tuple[int, int]]:

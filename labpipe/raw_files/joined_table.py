@@ -42,18 +42,13 @@ class JoinedTable:
                 if name in table.units:
                     self.units[keys[-1]] = table.units[name]
         self.columns = tuple(keys)
-        self.sample_rate = self._common_rate()
-        self._cut: list[tuple[Path, int, int]] = []
-
-    def _common_rate(self) -> float | None:
-        rates = [
-            (table.path.name, table.sample_rate) for table in self._tables if table.sample_rate is not None
-        ]
+        rates = [(table.path.name, table.sample_rate) for table in tables if table.sample_rate is not None]
         for name, rate in rates[1:]:
             if abs(rate / rates[0][1] - 1) > SAME_RATE:
                 what = f"{name} is sampled at {rate:g} Hz, {rates[0][0]} at {rates[0][1]:g} Hz"
                 raise DataError(what, hint="one run has one rate")
-        return rates[0][1] if rates else None
+        self.sample_rate = rates[0][1] if rates else None
+        self._cut: list[tuple[Path, int, int]] = []
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file]; DataError for times that do not fit."""

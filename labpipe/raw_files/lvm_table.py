@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -77,10 +78,8 @@ class LvmTable:
             raise DataError(what, path, "write channels that begin together")
         self.start = starts[0] if header.rates else 0.0
         self._places, self.columns = places, tuple(places)
-        self.units = {
-            name: unit for name, place in self._places.items() if (unit := self._header.units[place])
-        }
-        if self._header.spectrum and X_VALUE in self._places:
+        self.units = {name: unit for name, place in places.items() if (unit := header.units[place])}
+        if header.spectrum and X_VALUE in places:
             self.units[X_VALUE] = "Hz"
 
     @property
@@ -116,14 +115,9 @@ class LvmTable:
         number.
         """
         places = [self._places[name] for name in columns]
-        rows: list[list[float]] = []
-        for number, line in self._data_lines():
-            rows.append(self._numbers(line, places, number))
-            if len(rows) == CHUNK_ROWS:
-                yield np.array(rows)
-                rows = []
-        if rows:
-            yield np.array(rows)
+        rows = (self._numbers(line, places, number) for number, line in self._data_lines())
+        while chunk := list(islice(rows, CHUNK_ROWS)):
+            yield np.array(chunk)
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
         inside, left, stated = False, self._count or np.inf, 0

@@ -70,16 +70,15 @@ def load_hdf5_variables(path: Path, names: Iterable[str]) -> dict[str, Any]:
 
 def hdf5_names(path: Path) -> tuple[str, ...]:
     """The data sets of an HDF5 file, "group/name"; DataError when the file is damaged."""
-    names: list[str] = []
-
-    def add(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-            names.append(name)
-
     check_hdf5(path)
     with reading(path, "HDF5 file"), h5py.File(path, "r") as file:
-        file.visititems(add)
-    return tuple(names)
+        return tuple(name for name in _data_sets(file) if name[0] != "#")
+
+
+def _data_sets(file: h5py.File) -> dict[str, h5py.Dataset]:
+    found: dict[str, Any] = {}
+    file.visititems(found.__setitem__)
+    return {name: item for name, item in found.items() if isinstance(item, h5py.Dataset)}
 
 
 # What a data set states of packed numbers by the CF conventions of NetCDF, and what holds without.
@@ -258,11 +257,8 @@ def _named_channels(arrays: dict[str, Any]) -> tuple[dict[str, str], dict[str, s
         if not place or field.lower() not in _SAMPLES:
             continue
         for fields, texts in ((_NAMES, names), (_UNIT_FIELDS, units)):
-            stated = (
-                text_of(arrays[lower[f"{place.lower()}.{part}"]]).strip()
-                for part in fields
-                if f"{place.lower()}.{part}" in lower
-            )
+            beside = (f"{place.lower()}.{part}" for part in fields)
+            stated = (text_of(arrays[lower[name]]).strip() for name in beside if name in lower)
             text = next((text.strip('"') for text in stated if text), "")
             if text and text != "-":
                 texts[key] = text
@@ -346,21 +342,14 @@ def hdf5_table(path: Path) -> ArraysTable:
     units = {name: unit for name in columns if (unit := _attribute(sets, name, _UNITS))}
     rate = rate_of(scalars, path, {name: _attribute(sets, name, _UNITS) for name in scalars})
     table = ArraysTable(path, columns, units, rate, _hdf5_texts(file))
-    for name in table.columns:
-        if text := _attribute(sets, name, _SENSITIVITIES):
-            table.sensitivities[name] = text
+    stated = {name: _attribute(sets, name, _SENSITIVITIES) for name in table.columns}
+    table.sensitivities |= {name: text for name, text in stated.items() if text}
     return table
 
 
 def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
-    texts: dict[str, list[str]] = {}
-
-    def add(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype) and item.size < MOST_TEXTS:
-            texts[name] = _decoded(item[()])
-
-    file.visititems(add)
-    return texts
+    texts = {name: item for name, item in _data_sets(file).items() if h5py.check_string_dtype(item.dtype)}
+    return {name: _decoded(item[()]) for name, item in texts.items() if item.size < MOST_TEXTS}
 
 
 def _decoded(values: Any) -> list[str]:
@@ -372,18 +361,13 @@ def _decoded(values: Any) -> list[str]:
 
 def _numeric_sets(file: h5py.File) -> dict[str, Any]:
     sets: dict[str, Any] = {}
-
-    def add(name: str, item: Any) -> None:
-        attributes = getattr(item, "attrs", {})
-        is_text = attributes.get("MATLAB_class", b"") in (b"char", b"cell")
+    for name, item in _data_sets(file).items():
+        is_text = item.attrs.get("MATLAB_class", b"") in (b"char", b"cell")
         # Of an object there are only numbers that say where it lies.
-        is_text = is_text or "MATLAB_object_decode" in attributes
-        if not isinstance(item, h5py.Dataset) or name.startswith("#") or is_text:
-            return
+        if name[0] == "#" or is_text or "MATLAB_object_decode" in item.attrs:
+            continue
         if item.dtype.kind in "iuf" if item.shape == () else item.shape and is_numeric(item):
             sets[name] = _unpacked(item)
-
-    file.visititems(add)
     return sets
 
 
@@ -416,20 +400,14 @@ def write_frf_mat(path: Path, response: FrequencyResponse) -> None:
         "form": response.form,
         "unit": FORMS[response.form],
         "covariance_dof": response.covariance_dof,
-        **_port_variables("output", response.outputs),
-        **_port_variables("input", response.inputs),
     }
+    for side, ports in (("output", response.outputs), ("input", response.inputs)):
+        variables[f"{side}s"] = np.array([port.label for port in ports], object)
+        variables[f"{side}_dofs"] = np.array([port.dof for port in ports], object)
+        angles = [math.nan if port.angle is None else port.angle for port in ports]
+        variables[f"{side}_angles_rad"] = np.array(angles)
     variables |= {name: values for name in _OPTIONAL if (values := getattr(response, name)) is not None}
     scipy.io.savemat(path, variables, do_compression=True, appendmat=False)
-
-
-def _port_variables(side: str, ports: tuple[Port, ...]) -> dict[str, Any]:
-    angles = np.array([math.nan if port.angle is None else port.angle for port in ports])
-    return {
-        f"{side}s": np.array([port.label for port in ports], object),
-        f"{side}_dofs": np.array([port.dof for port in ports], object),
-        f"{side}_angles_rad": angles,
-    }
 
 
 def holds_response(path: Path) -> bool:

@@ -40,7 +40,8 @@ def touch(path: Path) -> None:
     """Open a file and read the first and the last two samples of every channel of every group."""
     longest = MdfTable(path)
     for table in (longest, *longest.others):
-        table.read_ends()
+        # The first two were read when the table was made.
+        table.rows(table.columns, table._length - 2, 2)
 
 
 def growing_rows(
@@ -93,7 +94,8 @@ class MdfTable:
                 (channel.name, number, signal.unit)
                 for number, channel in enumerate(file.groups[self._group].channels)
                 if number != master
-                and _is_numeric(signal := file.get(group=self._group, index=number, record_count=2))
+                and (signal := file.get(group=self._group, index=number, record_count=2)).samples.ndim == 1
+                and signal.samples.dtype.kind in "iuf"
             ]
         names = unique([name for name, _, _ in channels])
         self._places = dict(zip(names, (number for _, number, _ in channels), strict=True))
@@ -168,11 +170,6 @@ class MdfTable:
         with self._open() as file, _quiet():
             return self._chunk(file, columns, first, count)
 
-    def read_ends(self) -> None:
-        """Read the last two samples; the first two were read when the table was made."""
-        with _quiet(), self._open() as file:
-            self._chunk(file, self.columns, self._length - 2, 2)
-
     def _chunk(self, file: Any, columns: Sequence[str], start: int, count: int) -> FloatArray:
         part = {"record_offset": start, "record_count": count}
         times = file.get_master(self._group, **part)
@@ -215,7 +212,3 @@ def _kept_young() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-def _is_numeric(signal: Any) -> bool:
-    return signal.samples.dtype.kind in "iuf" and signal.samples.ndim == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import warnings
 from collections import Counter
@@ -118,7 +119,10 @@ class WavTable:
 
 def _read(path: Path) -> tuple[int, NDArray[np.generic]]:
     """(rate [Hz], samples (n, n_track)), mapped from the file where its format (not 24 bit) permits it."""
-    _check_length(path)
+    with path.open("rb") as stream:
+        for name, place, length in wav_chunks(stream):
+            if name == b"data" and place + length > path.stat().st_size:
+                raise DataError("ends before its last sample", path, "the file is truncated")
     with reading(path, "WAV file"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -146,13 +150,6 @@ def wav_chunks(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
         place += 8 + length + length % 2
 
 
-def _check_length(path: Path) -> None:
-    with path.open("rb") as stream:
-        for name, place, length in wav_chunks(stream):
-            if name == b"data" and place + length > path.stat().st_size:
-                raise DataError("ends before its last sample", path, "the file is truncated")
-
-
 def _share(samples: NDArray[np.generic]) -> FloatArray:
     """Samples by full scale: integers by 2^(bits - 1), bytes around 128. Scipy gives 24 bit as the upper part
     of 32.
@@ -178,7 +175,10 @@ class XlsxTable:
         self._first = next(
             n for n, row in enumerate(rows) if _width(row) == width and _is_numeric([row[p] for p in numeric])
         )
-        above = ["\t".join(_text(cell) for cell in row[:width]) for row in rows[: self._first]]
+        above = [
+            "\t".join(re.sub(r"[\t\n]", " ", str("" if c is None else c)) for c in row[:width])
+            for row in rows[: self._first]
+        ]
         names, units = header_of(above, "\t", range(width - 1, width + 1))
         self._names, self._rows = names, [row[:width] for row in rows[self._first :]]
         self.columns = tuple(names[place] for place in numeric if names[place])
@@ -252,7 +252,3 @@ def _is_numeric(row: Sequence[Any]) -> bool:
 
 def _width(row: Row) -> int:
     return max((number + 1 for number, cell in enumerate(row) if cell is not None), default=0)
-
-
-def _text(cell: Any) -> str:
-    return "" if cell is None else str(cell).replace("\t", " ").replace("\n", " ")

@@ -139,15 +139,6 @@ class AtLimit:
         return self._count, self._first
 
 
-def both_ends(limits: tuple[float, float] | None) -> tuple[EndValues, EndValues] | tuple[AtLimit, AtLimit]:
-    """Detectors of clipping at the lower and the upper end: by the known range, otherwise by repeated extreme
-    values.
-    """
-    if limits is None:
-        return EndValues(-1.0), EndValues(1.0)
-    return AtLimit(-1.0, limits), AtLimit(1.0, limits)
-
-
 # A time step may differ from the mean by this share, beside the rounding of printed times.
 JITTER = 1e-3
 # Time steps longer than this many last printed digits cannot hide a lost sample in the rounding of the times.
@@ -203,7 +194,11 @@ class ChannelScreen:
         self.n_sample = 0
         self._n_missing = np.zeros(n, int)
         self._first_missing = np.full(n, -1)
-        self._ends = [both_ends(limit) for limit in limits or [None] * n]
+        # Clipping at the lower and the upper end: by the known range, otherwise by repeated extreme values.
+        self._ends: list[tuple[EndValues | AtLimit, ...]] = [
+            tuple(EndValues(sign) if limit is None else AtLimit(sign, limit) for sign in (-1.0, 1.0))
+            for limit in limits or [None] * n
+        ]
 
     def add(self, block: FloatArray) -> None:
         """Add the next block (n, n_channel) [unit of the channel]."""
@@ -218,7 +213,14 @@ class ChannelScreen:
         if _are_measured(low, high):
             self._add_levels(columns)
         else:
-            low, high = self._add_with_gaps(block, columns)
+            check_amounts(self._names, block, self.n_sample)
+            missing = ~np.isfinite(columns)
+            self._add_levels(columns, missing)
+            self._n_missing += missing.sum(axis=1)
+            fresh = (self._first_missing < 0) & missing.any(axis=1)
+            self._first_missing[fresh] = self.n_sample + np.argmax(missing[fresh], axis=1)
+            low = np.min(columns, axis=1, initial=np.inf, where=~missing)
+            high = np.max(columns, axis=1, initial=-np.inf, where=~missing)
         self._add_ends(low, high, block.shape[0], columns.__getitem__)
 
     def add_between(
@@ -245,15 +247,6 @@ class ChannelScreen:
                     end.add(column_of(number), self.n_sample)
         self.n_sample += n_sample
 
-    def _add_with_gaps(self, block: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        check_amounts(self._names, block, self.n_sample)
-        missing = ~np.isfinite(columns)
-        self._add_levels(columns, missing)
-        self._note_missing(missing)
-        return np.min(columns, axis=1, initial=np.inf, where=~missing), np.max(
-            columns, axis=1, initial=-np.inf, where=~missing
-        )
-
     def _add_levels(self, columns: FloatArray, missing: BoolArray | None = None) -> None:
         """Sums about each channel's first number, so that a small signal on a large offset keeps its
         variance.
@@ -271,11 +264,6 @@ class ChannelScreen:
                 beside[missing[:, piece]] = 0.0
             self._sum += beside.sum(axis=1)
             self._squares += np.einsum("cn,cn->c", beside, beside)
-
-    def _note_missing(self, missing: BoolArray) -> None:
-        self._n_missing += missing.sum(axis=1)
-        fresh = (self._first_missing < 0) & missing.any(axis=1)
-        self._first_missing[fresh] = self.n_sample + np.argmax(missing[fresh], axis=1)
 
     @property
     def mean(self) -> FloatArray:
@@ -382,7 +370,8 @@ class TimeAxisScreen:
         # is not allowed for where a step is hardly longer than the digit and the median step equals the mean:
         # an unequal step is a lost sample then. Nor does a step shorter than usual hide one, or any step
         # where the first times, of more decimals, show how long steps are.
-        by_digits = _last_digit(max(abs(self._first), abs(self._last)), self._digits)
+        largest = max(abs(self._first), abs(self._last))
+        by_digits = 10.0 ** (math.floor(math.log10(largest)) + 1 - self._digits) if largest > 0 else 0.0
         resolution = max(self._resolution, by_digits if step > LEAST * by_digits else 0.0)
         off = step - self._typical
         clear = off < 0 or self._resolution < COARSE * resolution
@@ -393,7 +382,7 @@ class TimeAxisScreen:
         )
         # Stored numbers are rounded as well: a date in seconds is accurate to 2e-7 s only, at either end of a
         # step.
-        stored = float(np.spacing(max(abs(self._first), abs(self._last))))
+        stored = float(np.spacing(largest))
         allowed = JITTER * step + stored + (resolution if coarse else 0.0)
         if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
             what = f"the time column '{self._column}' does not rise at sample {self._smallest[1]}"
@@ -441,10 +430,6 @@ def _printed_digits(times: FloatArray) -> int:
         else:
             return MOST_DIGITS + 8
     return digits
-
-
-def _last_digit(largest: float, digits: int) -> float:
-    return 10.0 ** (math.floor(math.log10(largest)) + 1 - digits) if largest > 0 else 0.0
 
 
 def _printed_resolution(times: FloatArray) -> float:

@@ -44,7 +44,9 @@ class TdmsTable:
             if file.file_status.incomplete_final_segment:
                 hint = "the logger was interrupted, or the copy is incomplete"
                 raise DataError("its last segment is truncated", path, hint)
-            self._keep([c for group in file.groups() for c in group.channels() if _is_numeric(c)])
+            self._keep(
+                [c for g in file.groups() for c in g.channels() if len(c) and np.dtype(c.dtype).kind in "iuf"]
+            )
 
     def _keep(self, candidates: list[Any]) -> None:
         length = max((len(channel) for channel in candidates), default=0)
@@ -124,10 +126,6 @@ def growing_rows(
 def _blocks(columns: Sequence[FloatArray], n_row: int) -> Iterator[FloatArray]:
     for start in range(0, n_row, CHUNK_ROWS):
         yield np.array([column[start : min(start + CHUNK_ROWS, n_row)] for column in columns], float)
-
-
-def _is_numeric(channel: Any) -> bool:
-    return len(channel) > 0 and np.dtype(channel.dtype).kind in "iuf"
 
 
 def _unit(channel: Any) -> str:

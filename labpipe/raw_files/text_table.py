@@ -272,7 +272,11 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     knows what a number is.
     """
     encoding, lines = _head(path)
-    sample = [n for n in _sample(len(lines)) if lines[n].strip()]
+    sample = [
+        n
+        for n, line in enumerate(lines)
+        if not SAMPLE_LINES <= n < len(lines) - SAMPLE_LINES and line.strip()
+    ]
     best = _best_candidate(lines, sample, number, _numeric_rows)
     if best is None or 2 * len(best.rows) < len(sample):
         best = _best_candidate(lines, sample, number, _rows_with_text) or best
@@ -286,6 +290,19 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     units |= {names[n]: "s" for n in stamps if names[n]}
     texts = tuple(n for n in range(best.n_field) if n not in best.numeric)
     return Layout(encoding, delimiter, decimal, names, units, first, stamps, texts)
+
+
+def rows_of_fields(path: Path, layout: Layout) -> Iterator[tuple[int, list[str]]]:
+    """Line number and fields of every row. DataError for one with more or fewer fields than names."""
+    with open_text(path, layout.encoding) as lines:
+        for number, line in enumerate(lines, 1):
+            if number <= layout.first_line or not line.strip():
+                continue
+            fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
+            if len(fields) != len(layout.names):
+                what = f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before"
+                raise DataError(what, f"{path}:{number}")
+            yield number, fields
 
 
 def _best_candidate(
@@ -334,12 +351,6 @@ def _head(path: Path) -> tuple[str, list[str]]:
     # Not splitlines(): pyarrow, which skips the header by its number of lines, counts line feeds only.
     lines = [line.rstrip("\r") for line in head.decode(encoding, errors="ignore").split("\n")]
     return encoding, lines[:-1] if len(head) == HEAD_BYTES else lines
-
-
-def _sample(n_line: int) -> list[int]:
-    if n_line <= 2 * SAMPLE_LINES:
-        return list(range(n_line))
-    return [*range(SAMPLE_LINES), *range(n_line - SAMPLE_LINES, n_line)]
 
 
 def _all_numbers(fields: list[str], decimal: str, number: IsNumber) -> bool:
@@ -394,10 +405,6 @@ def _rows_with_text(
 UNIT_ROW = re.compile(r"(units?|einheit(en)?)\W*$", re.IGNORECASE)
 
 
-def _is_plain(field: str) -> bool:
-    return re.fullmatch(r"[-+]?[\d.]+", field) is not None
-
-
 def header_of(above: list[str], delimiter: str, widths: range) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers, the names of as many fields as *widths* allow of;
     columns without a header are called 1, 2, ...
@@ -413,7 +420,11 @@ def header_of(above: list[str], delimiter: str, widths: range) -> tuple[tuple[st
     names, unit_row = titles[-1], [""] * n_field
     if len(titles) > 1 and all(not field or _unit_of(field) or UNIT_ROW.match(field) for field in names):
         # Loggers put ranges and offsets between names and units.
-        named = [row for row in titles[:-1] if len(set(row)) == n_field and not any(map(_is_plain, row))]
+        named = [
+            row
+            for row in titles[:-1]
+            if len(set(row)) == n_field and not any(re.fullmatch(r"[-+]?[\d.]+", field) for field in row)
+        ]
         unit_row, names = [_unit_of(field) for field in names], (named or titles[:-1])[-1]
     units = {name: unit or bracketed_unit(name) for name, unit in zip(names, unit_row, strict=True)}
     return tuple(names), {name: unit for name, unit in units.items() if unit}
@@ -433,11 +444,6 @@ def bracketed_unit(name: str) -> str:
     # No unit is longer; a search through a long row of brackets would take its square.
     match = _BRACKETS.search(name[-LONGEST_UNIT:])
     return _unit_of(match[1]) if match else ""
-
-
-def _numbers(column: pa.Array, clock: StampClock | None) -> FloatArray:
-    values: FloatArray = numpy_array(column) if clock is None else clock.seconds(column.to_pylist())
-    return values
 
 
 # Read ahead, a few times over: larger blocks are no faster and cost memory.
@@ -495,7 +501,8 @@ class CsvTable:
         fields = [str(self.layout.names.index(name)) for name in columns]
         for batch in self._open(source, fields, skipped):
             if batch.num_rows:
-                yield np.array([_numbers(batch.column(field), clocks.get(field)) for field in fields]).T
+                read = ((batch.column(field), clocks.get(field)) for field in fields)
+                yield np.array([c.seconds(a.to_pylist()) if c else numpy_array(a) for a, c in read]).T
 
     def _open(self, source: Any, fields: list[str], skipped: int) -> pc.CSVStreamingReader:
         layout = self.layout
@@ -530,18 +537,10 @@ class CsvTable:
             yield self.path
 
     def _locate(self, columns: Sequence[str], reason: str) -> DataError:
-        layout, indices = self.layout, [self.layout.names.index(name) for name in columns]
-        with open_text(self.path, layout.encoding) as lines:
-            for number, line in enumerate(lines):
-                if number < layout.first_line or not line.strip():
-                    continue
-                fields = fields_of(line.rstrip("\r\n"), layout.delimiter)
-                where = f"{self.path}:{number + 1}"
-                if len(fields) != len(layout.names):
-                    what = f"{len(fields)} fields, {len(layout.names)} are needed as in the rows before"
-                    return DataError(what, where)
-                for index, name in zip(indices, columns, strict=True):
-                    if not (is_missing(fields[index]) or is_cell(fields[index], layout.decimal)):
-                        what = f"column '{name}': '{fields[index].strip()[:40]}' is not a number"
-                        return DataError(what, where)
+        places = [(name, self.layout.names.index(name)) for name in columns]
+        for number, fields in rows_of_fields(self.path, self.layout):
+            for name, place in places:
+                if not (is_missing(fields[place]) or is_cell(fields[place], self.layout.decimal)):
+                    what = f"column '{name}': '{fields[place].strip()[:40]}' is not a number"
+                    return DataError(what, f"{self.path}:{number}")
         return DataError(f"cannot be read: {reason.splitlines()[0]}", self.path)

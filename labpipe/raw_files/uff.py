@@ -6,6 +6,7 @@ Layout: I-DEAS universal dataset 58, records 1-12, and its binary header 58b.
 
 from __future__ import annotations
 
+import itertools
 import mmap
 import re
 from collections.abc import Iterator, Sequence
@@ -224,7 +225,10 @@ def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> Uf
         function, ordinate_type, n_value = _integer(point[0]), _integer(form[0]), _integer(form[1])
         even, start, step = _integer(form[2]) == 1, real(form[3]), real(form[4])
         ends = _point(point[4:7]), _point(point[7:10])
-        abscissa, ordinate, per = (_axis(_columns(line, _AXIS)) for line in header[7:10])
+        abscissa, ordinate, per = (
+            UffAxis(_integer(f[0]), _name(f[4]), _name(f[5]))
+            for f in (_columns(h, _AXIS) for h in header[7:10])
+        )
         layout = _layout(lines, kind, ordinate_type, n_value, even)
     except ValueError as error:
         raise DataError(f"record {number} ({title}): {error}", lines.path) from None
@@ -248,11 +252,8 @@ def _layout(lines: _Lines, kind: str, ordinate_type: int, n_value: int, even: bo
 
 
 def _columns(line: str, widths: tuple[int, ...]) -> list[str]:
-    fields, position = [], 0
-    for width in widths:
-        fields.append(line[position : position + width].strip())
-        position += width
-    return fields
+    ends = [0, *itertools.accumulate(widths)]
+    return [line[begin:end].strip() for begin, end in itertools.pairwise(ends)]
 
 
 def _integer(field: str) -> int:
@@ -274,10 +275,6 @@ def _point(fields: list[str]) -> UffPoint:
     if abs(direction) > 6:
         raise ValueError(f"unknown direction {direction}")
     return UffPoint(_name(fields[0]), _integer(fields[1]), direction)
-
-
-def _axis(fields: list[str]) -> UffAxis:
-    return UffAxis(_integer(fields[0]), _name(fields[4]), _name(fields[5]))
 
 
 def _binary_layout(

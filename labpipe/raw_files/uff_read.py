@@ -9,6 +9,7 @@ from __future__ import annotations
 import mmap
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,6 @@ from labpipe.records.rig import AXIS_ANGLES
 # Specific data types of a record's axes -> SI unit.
 SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 FORMS = {8: "receptance", 11: "mobility", 12: "accelerance"}
-_FORM_UNITS = {8: "m/N", 11: "m/(N.s)", 12: "m/(N.s^2)"}
 _FORCES = (9, 13)
 # Data types that leave open what was measured: unknown, general.
 _OPEN = (0, 1)
@@ -170,26 +170,20 @@ def _ports(keys: Sequence[Key], several: bool) -> tuple[Port, ...]:
         labels = [
             ".".join(part for part in (name, str(node), AXES[axis]) if part) for name, node, axis in keys
         ]
-    return tuple(_port(label, key, several) for label, key in zip(labels, keys, strict=True))
+    ports = []
+    for label, (_, node, axis) in zip(labels, keys, strict=True):
+        dof, angle = label, AXIS_ANGLES.get(AXES[axis])
+        if not axis:
+            with suppress(UnitError):
+                angle = parse_value(label, "rad")
+        elif not label.endswith(f".{AXES[axis]}"):
+            dof = _dof(node, axis, several)
+        ports.append(Port(label, label, dof, angle))
+    return tuple(ports)
 
 
 def _dof(node: int, axis: int, several: bool) -> str:
     return (f"{node}.{AXES[axis]}" if several else AXES[axis]) if axis else str(node)
-
-
-def _port(label: str, key: Key, several: bool) -> Port:
-    _, node, axis = key
-    if axis:
-        dof = label if label.endswith(f".{AXES[axis]}") else _dof(node, axis, several)
-        return Port(label, label, dof, AXIS_ANGLES.get(AXES[axis]))
-    return Port(label, label, label, _angle(label))
-
-
-def _angle(label: str) -> float | None:
-    try:
-        return parse_value(label, "rad")
-    except UnitError:
-        return None
 
 
 class UffTable:
@@ -208,15 +202,14 @@ class UffTable:
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
         try:
-            units = {name: time_unit(record)[0] for name, record in self._records.items()}
+            units = ((name, time_unit(record)[0]) for name, record in self._records.items())
+            self.units = {name: unit for name, unit in units if unit}
         except DataError as error:
             error.where = str(path)
             raise
-        self.units = {name: unit for name, unit in units.items() if unit}
         rate = 1 / records[0].step
-        self.sample_rate: float | None = rate
-        if abs(round(rate) / rate - 1) < _STEP_DIGITS:
-            self.sample_rate = float(round(rate))
+        is_whole = abs(round(rate) / rate - 1) < _STEP_DIGITS
+        self.sample_rate: float | None = float(round(rate)) if is_whole else rate
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the column]; DataError for a truncated record."""
@@ -286,10 +279,10 @@ def form_of(record: uff.UffRecord) -> str:
     function.
     """
     of_force = record.denominator.kind in _FORCES
-    if record.ordinate.kind in _OPEN and not of_force and (form := _labelled_form(record)):
-        _check_directions(record)
-        return form
-    if record.ordinate.kind not in FORMS or not of_force:
+    form = FORMS.get(record.ordinate.kind, "") if of_force else ""
+    if record.ordinate.kind in _OPEN and not of_force:
+        form = _labelled_form(record)
+    if not form:
         label = f", labelled {record.ordinate.unit}" if record.ordinate.unit else ""
         what = (
             f"{record.where}: the data types {record.ordinate.kind} per {record.denominator.kind}{label} are "
@@ -299,7 +292,7 @@ def form_of(record: uff.UffRecord) -> str:
             what, hint="state it under frfs: {file: FILE, form: accelerance}, with unit: where not SI"
         )
     _check_directions(record)
-    return FORMS[record.ordinate.kind]
+    return form
 
 
 def _check_directions(record: uff.UffRecord) -> None:
@@ -394,17 +387,11 @@ def _labelled_factor(record: uff.UffRecord) -> float | None:
     if not unit:
         return None
     ordinate = parse_unit(unit)
-    if kind in _OPEN:
-        return ordinate.factor
-    if ordinate.dimension == parse_unit(_FORM_UNITS[kind]).dimension:
+    if kind in _OPEN or ordinate.dimension == parse_unit(RESPONSE_FORMS[FORMS[kind]]).dimension:
         return ordinate.factor
     force = parse_unit(axis_unit(per) or ("1" if per.unit else "N"))
-    if (
-        ordinate.dimension == parse_unit(SI_UNITS[kind]).dimension
-        and force.dimension == parse_unit("N").dimension
-    ):
-        return ordinate.factor / force.factor
-    return None
+    wanted = [parse_unit(text).dimension for text in (SI_UNITS[kind], "N")]
+    return ordinate.factor / force.factor if [ordinate.dimension, force.dimension] == wanted else None
 
 
 def time_unit(record: uff.UffRecord) -> tuple[str, float]:

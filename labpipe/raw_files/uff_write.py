@@ -87,7 +87,9 @@ def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
             raise DataError(f"fit '{fit.name}' has tilts only", hint="records 55 are written of translations")
         dofs = [modes.dofs[n] for n in moving]
         geometry = modes.geometry or Geometry.of_dofs(dofs)
-        labels = _labels(geometry)
+        labels = [int(name) if name.isdigit() else 0 for name in geometry.names]
+        if min(labels) < 1 or len(set(labels)) < len(labels):
+            labels = list(range(1, len(labels) + 1))
         sets += [] if sets else _structure(geometry, labels)
         motion = geometry.motion(dofs, modes.shapes[moving])
         for n, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
@@ -110,15 +112,6 @@ def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
                 }
             )
     _write(path, sets)
-
-
-def _labels(geometry: Geometry) -> list[int]:
-    numbers = [int(name) if name.isdigit() else 0 for name in geometry.names]
-    return (
-        numbers
-        if min(numbers) > 0 and len(set(numbers)) == len(numbers)
-        else list(range(1, len(numbers) + 1))
-    )
 
 
 def _structure(geometry: Geometry, labels: Sequence[int]) -> list[dict[str, Any]]:

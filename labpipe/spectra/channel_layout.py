@@ -4,7 +4,7 @@ uncertainties (numbers in a sum, calibrations of its members) do to an FRF, to f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -244,7 +244,12 @@ def find_channel_layout(sources: Sequence[SampleSource]) -> ChannelLayout:
         tuple(source.channels.index(sensor) if sensor in source.channels else -1 for sensor in recorded)
         for source in sources
     )
-    named = _unique_names(recorded)
+    names = [sensor.name for sensor in recorded]
+    # A force that moved between recordings is name@dof.
+    named = tuple(
+        replace(sensor, name=f"{sensor.name}@{sensor.dof}") if names.count(sensor.name) > 1 else sensor
+        for sensor in recorded
+    )
     return ChannelLayout(named, (*named, *(channel for channel in distinct if channel.terms)), columns)
 
 
@@ -260,13 +265,3 @@ def _choose(source: SampleSource) -> list[Channel]:
             f"recording '{source.name}' lacks the channel {', '.join(sorted(missing))} that stands in a sum"
         )
     return [channel for channel in source.channels if channel.role != "reference" or channel.name in members]
-
-
-def _unique_names(channels: Iterable[Channel]) -> tuple[Channel, ...]:
-    """Channels under their names, or name@dof where a force moved between recordings."""
-    channels = tuple(channels)
-    names = [channel.name for channel in channels]
-    return tuple(
-        replace(sensor, name=f"{sensor.name}@{sensor.dof}") if names.count(sensor.name) > 1 else sensor
-        for sensor in channels
-    )

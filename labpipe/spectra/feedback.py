@@ -81,7 +81,17 @@ def feedback_of_records(
             late[name] = lag / source.sample_rate
         else:
             chances[name] = min(chance, chances.get(name, 1.0))
-    return (*_findings(chances, reference), *_lag_findings(late))
+    lags = (
+        Finding(
+            "reference-lag",
+            f"the reference {name} lags by {1e3 * lag:.3g} ms: forces and responses come before it, and in "
+            f"order once it is moved forward. State `delay: {1e3 * lag:.3g} ms` of that channel, or record "
+            "all on one clock; blocks must be long beside the lag, since their ends tear the reference from "
+            "what it moves",
+        )
+        for name, lag in late.items()
+    )
+    return (*_findings(chances, reference), *lags)
 
 
 def lag_of_reference(references: FloatArray, forces: FloatArray, responses: FloatArray) -> int:
@@ -107,19 +117,6 @@ def lag_of_reference(references: FloatArray, forces: FloatArray, responses: Floa
         return 0
     others = np.column_stack([forces, responses])[:-lag]
     return lag if chance_of_order(references[lag:], others) >= IN_ORDER else 0
-
-
-def _lag_findings(late: dict[str, float]) -> tuple[Finding, ...]:
-    return tuple(
-        Finding(
-            "reference-lag",
-            f"the reference {name} lags by {1e3 * lag:.3g} ms: forces and responses come before it, and in "
-            f"order once it is moved forward. State `delay: {1e3 * lag:.3g} ms` of that channel, or record "
-            "all on one clock; blocks must be long beside the lag, since their ends tear the reference from "
-            "what it moves",
-        )
-        for name, lag in late.items()
-    )
 
 
 def _findings(chances: dict[str, float], reference: Sequence[str], what: str = BIASED) -> tuple[Finding, ...]:
@@ -187,13 +184,12 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
     free = (2 * HALF_WIDTH + 1) / max(2 * HALF_WIDTH + 1 - n_input, 1)
     chances = []
     for output in y.T:
-        s_yu, power = _average(output[:, None] * u.conj()), _average(np.abs(output) ** 2).real
+        crossed = output[:, None] * u.conj()
+        s_yu, power = _average(crossed), _average(np.abs(output) ** 2).real
         response = product(s_yu[:, None, :], inverted)[:, 0]
         noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
         white = fade * _whitening(power)
-        raw = (
-            white[:, None] * product((output[:, None] * u.conj())[:, None, :], inverted)[:, 0] / level * size
-        )
+        raw = white[:, None] * product(crossed[:, None, :], inverted)[:, 0] / level * size
         impulse = _at_lags(raw, 2 * raw.shape[0]).real
         before, after = impulse[: LAGS.stop], impulse[-np.arange(LAGS.stop)]
         # What one force leaves of another's spectrum is small against the larger of their effects.

@@ -118,7 +118,10 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     if not np.any(moving) or samples.shape[0] < 16:
         raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
     scaled = centred[:, moving] / deviation[moving]
-    period = _period(scaled)
+    # Of the strongest line of the velocity: a drift or a step is no oscillation.
+    spectrum = np.sum(np.abs(fft.rfft(scaled, axis=0)) ** 2, axis=1)
+    strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
+    period = max(2, round(len(scaled) / max(strongest, 1)))
     swinging = _swinging(scaled, STEADY_PERIODS * period)
     size = np.sqrt(np.sum((swinging / np.std(swinging, axis=0)) ** 2, axis=1))
     stretch = period * -(-LEAST_STRETCH // period)
@@ -130,13 +133,6 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
         what = f"in recording '{name}' no decay stands out of the noise"
         raise DataError(what, hint="excite it more, or name `start` and `end`")
     return _Levels(size, period, stretch, quiet)
-
-
-def _period(samples: FloatArray) -> int:
-    """The period [samples] of the strongest line of the velocity: a drift or a step is no oscillation."""
-    spectrum = np.sum(np.abs(fft.rfft(samples, axis=0)) ** 2, axis=1)
-    strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
-    return max(2, round(samples.shape[0] / max(strongest, 1)))
 
 
 def _swinging(samples: FloatArray, length: int) -> FloatArray:

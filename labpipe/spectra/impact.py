@@ -262,9 +262,9 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     spectra = [average.spectra() for average in averages]
     findings.extend(average.slow_finding() for average in averages if average.slow)
     correlation = averages[0].line_correlation()
-    half_width, shared = _noise_lines(
-        sum(spectrum.averages for spectrum in spectra) - len(layout.inputs), correlation
-    )
+    # Lines to either side that the noise is averaged over, and how many share one value of it.
+    dof, shared = sum(s.averages for s in spectra) - len(layout.inputs), 1 + 2 * sum(abs(correlation) ** 2)
+    half_width = int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
     # chosen afterwards.
     everywhere = replace(settings, band=None, exclude=())
@@ -279,17 +279,14 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     if settings.damping_window is not None:
         parts = _without_window(parts, settings.damping_window, correlation)
     chosen = lines_left(parts.frequency, settings)
-    parts = _select(replace(parts, findings=(*findings, *parts.findings)), chosen)
+    parts = _select(parts, chosen)
     errors = [average.force_noise()[chosen] for average in averages]
     what, hint = "after its hits makes H low by", WINDOW
     if settings.impact.force_window is not None:
-        what, hint = (
-            "within its window moves H by",
-            "shorten `force_window` to a little more than the contact",
-        )
-    return replace(
-        parts, findings=(*parts.findings, *force_noise_findings(parts, errors, layout, what, hint))
-    )
+        what = "within its window moves H by"
+        hint = "shorten `force_window` to a little more than the contact"
+    noisy = force_noise_findings(parts, errors, layout, what, hint)
+    return replace(parts, findings=(*findings, *parts.findings, *noisy))
 
 
 def force_noise_findings(
@@ -336,12 +333,6 @@ def _with_hits(averages: list[_HitAverage], layout: Layout) -> tuple[list[_HitAv
     return [averages[number] for number in kept], layout
 
 
-def _noise_lines(dof: float, correlation: ComplexArray) -> tuple[int, float]:
-    """Lines to either side that the noise is averaged over, and how many share one value of it."""
-    shared = 1.0 + 2 * float(np.sum(np.abs(correlation) ** 2))
-    return (int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0), shared
-
-
 class _HitAverage:
     """Sums of X_a X_b* over the accepted hits of one recording, and findings on the rejected ones."""
 
@@ -383,32 +374,24 @@ class _HitAverage:
             message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {hit.fault}"
             self.findings.append(note("hit-rejected", message))
             return
-        samples = self._window(hit)
-        amplitude = fft.rfft(samples, axis=0)[self._lines]
-        self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
-        self.n_hit += 1
-        self._noise += self._noise_power(hit)
-        self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
-        self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
-
-    def _window(self, hit: Hit) -> FloatArray:
-        samples = hit.samples.copy()
-        samples[:, self.force] *= self._force_window(hit)
+        samples, window = hit.samples.copy(), self._force_window(hit)
+        samples[:, self.force] *= window
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
         self._note_slow(samples)
-        return samples
+        amplitude = fft.rfft(samples, axis=0)[self._lines]
+        self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
+        self.n_hit += 1
+        power = noise_power(hit, self.force, self._lines)
+        self._noise += power * float(np.sum((window * self._exponential) ** 2))
+        self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
+        self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def _force_window(self, hit: Hit) -> FloatArray:
         length = self._settings.impact.force_window
         if length is None:
             return np.ones(self.n_sample)
         return force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
-
-    def _noise_power(self, hit: Hit) -> float:
-        """Mean |X|^2 of the force's noise under its windows."""
-        windows = self._force_window(hit) * self._exponential
-        return noise_power(hit, self.force, self._lines) * float(np.sum(windows**2))
 
     def force_noise(self) -> FloatArray:
         """Relative error (n_line,) [1] of the mean force by its noise that is alike at many lines: its share

@@ -69,13 +69,10 @@ def _covariance_of(there: ComplexArray, vectors: ComplexArray, noise: Sequence[C
         left = residual_of @ vectors[:, :, run : run + 1]
         update = crossed[:, :n_input] @ np.linalg.pinv(residual_of @ crossed, hermitian=True) @ left
         forces[:, :, run] = (vectors[:, :n_input, run : run + 1] - update)[:, :, 0]
-    return covariance_of_periodic(there, _inverse(forces), np.stack(list(noise)))
-
-
-def _inverse(forces: ComplexArray) -> ComplexArray:
-    """pinv(U), each force relative to its size: they differ by orders of magnitude."""
+    # Forces differ by orders of magnitude.
     size = np.sqrt(np.mean(np.abs(forces) ** 2, axis=(0, 2)))
-    return np.asarray(np.linalg.pinv(forces / size[:, None]) / size[None, None, :])
+    inverse = np.linalg.pinv(forces / size[:, None]) / size
+    return covariance_of_periodic(there, inverse, np.stack(list(noise)))
 
 
 def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> ComplexArray:
@@ -139,16 +136,12 @@ def joint_estimate(
     forces, noise = columns[:, :n_input], residual / averages
     size = np.sqrt(np.einsum("lii->li", spectra[:, n : n + n_input, n : n + n_input]).real)
     inverse = np.linalg.pinv(forces / size[:, :, None]) / size[:, None, :]
-    return JointEstimate(
-        columns[:, n_input:] @ inverse, columns, noise, _strength(forces, noise[:, :n_input, :n_input])
-    )
-
-
-def _strength(forces: ComplexArray, noise: ComplexArray) -> FloatArray:
     moved = forces @ hermitian(forces)
-    white = np.linalg.inv(np.linalg.cholesky(moved + noise + np.finfo(float).tiny * np.eye(forces.shape[1])))
+    noisy = moved + noise[:, :n_input, :n_input] + np.finfo(float).tiny * np.eye(n_input)
+    white: ComplexArray = np.linalg.inv(np.linalg.cholesky(noisy))
     share = np.clip(np.linalg.eigvalsh(white @ moved @ hermitian(white))[:, 0], 0.0, 1.0)
-    return np.asarray(np.sqrt(share / np.maximum(1 - share, np.finfo(float).eps)))
+    strength = np.sqrt(share / np.maximum(1 - share, np.finfo(float).eps))
+    return JointEstimate(columns[:, n_input:] @ inverse, columns, noise, strength)
 
 
 def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:

@@ -16,7 +16,6 @@ from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, uncorrelated
-from labpipe.records.uncertain import MatrixError
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
@@ -57,7 +56,11 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and np.any(lines):
         lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
-        _refuse_lines(acting)
+        if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
+            what = "no line is excited by all forces independently: their lines are interleaved"
+            raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
+        hint = "check `period` and `band`, or raise the level"
+        raise DataError("no line of the force exceeds its noise", hint=hint)
     spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
@@ -162,14 +165,6 @@ def _change(
     n_input = len(layout.inputs)
     old, new = (mean[:, n_input:] @ force_inverse(mean[:, :n_input], layout) for mean in (before, after))
     return new - old
-
-
-def _refuse_lines(acting: BoolArray) -> None:
-    if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
-        what = "no line is excited by all forces independently: their lines are interleaved"
-        raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    hint = "check `period` and `band`, or raise the level"
-    raise DataError("no line of the force exceeds its noise", hint=hint)
 
 
 def _acting(spectra: Sequence[LineSpectrum], layout: Layout) -> BoolArray:
@@ -429,12 +424,22 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     every = np.ones(first.n_frequency, bool)
     excess = neighbourhood_mean(levels.total**2 - levels.noise**2, every, half_width)
     distortion = np.sqrt(np.maximum(excess, 0.0))
+    size = np.sqrt(np.mean(np.abs(levels.gain) ** 2))
+    sizes = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, levels.noise))
+    message = (
+        "{} realisations of the phases: nonlinearity scatters the FRF by {:.2g} % (rms), "
+        "noise by {:.2g} % in each"
+    )
     return replace(
         first,
         matrix=levels.gain,
         covariance=(_mean_of(responses, "covariance") + uncorrelated(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
-        errors=_mean_errors(responses),
+        # All were measured through the same sums.
+        errors=tuple(
+            replace(of_one[0], change=np.asarray(np.mean([error.change for error in of_one], axis=0)))
+            for of_one in zip(*(response.errors for response in responses), strict=True)
+        ),
         change=_mean_of(responses, "change"),
         open_loop=_mean_of(responses, "open_loop"),
         snr=_mean_of(responses, "snr"),
@@ -444,7 +449,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         ),
         findings=(
             *dict.fromkeys(f for response in responses for f in response.findings),
-            _distortion_note(levels.gain, distortion, levels.noise, m),
+            note("distortion", message.format(m, *sizes)),
         ),
     )
 
@@ -452,22 +457,3 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
 def _mean_of(responses: Sequence[FrequencyResponse], name: str) -> Any:
     parts = [getattr(response, name) for response in responses]
     return None if any(part is None for part in parts) else np.mean(parts, axis=0)
-
-
-def _mean_errors(responses: Sequence[FrequencyResponse]) -> tuple[MatrixError, ...]:
-    """The systematic errors of the mean: all realisations were measured through the same sums."""
-    together = zip(*(response.errors for response in responses), strict=True)
-    return tuple(
-        MatrixError(errors[0].uncertainty, np.asarray(np.mean([error.change for error in errors], axis=0)))
-        for errors in together
-    )
-
-
-def _distortion_note(matrix: ComplexArray, distortion: FloatArray, noise: FloatArray, m: int) -> Finding:
-    size = np.sqrt(np.mean(np.abs(matrix) ** 2))
-    nonlinear, noisy = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, noise))
-    message = (
-        f"{m} realisations of the phases: nonlinearity scatters the FRF by {nonlinear:.2g} % (rms), "
-        f"noise by {noisy:.2g} % in each"
-    )
-    return note("distortion", message)

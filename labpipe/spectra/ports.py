@@ -153,7 +153,12 @@ def _ports_of(
         what = f"'{name}' has not the same delay and response table in all recordings"
         raise DataError(what, hint="one test for each chain of that channel")
     if role == "output":
-        _check_complete(sources, columns)
+        for source, members in zip(sources, columns, strict=True):
+            missing = ", ".join(key[0] for key in keys if key not in members)
+            if missing:
+                raise DataError(
+                    f"recording '{source.name}' lacks the response {missing} of another recording"
+                )
     by_key = {key: s.channels[n] for s, of in zip(sources, columns, strict=True) for key, n in of.items()}
     sensors = tuple(by_key[key] for key in keys)
     numbers = tuple(tuple(members.get(key, -1) for key in keys) for members in columns)
@@ -191,14 +196,6 @@ def _form(forces: Sequence[Channel], responses: Sequence[Channel]) -> str:
     if len(causes) == 1 and causes | effects <= ORDER_OF.keys():
         return TRANSMISSIBILITY
     return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
-
-
-def _check_complete(sources: Sequence[SampleSource], columns: Sequence[dict[Key, int]]) -> None:
-    outputs = dict.fromkeys(key for members in columns for key in members)
-    for source, members in zip(sources, columns, strict=True):
-        missing = ", ".join(key[0] for key in outputs if key not in members)
-        if missing:
-            raise DataError(f"recording '{source.name}' lacks the response {missing} of another recording")
 
 
 def check_rate(sources: Sequence[SampleSource]) -> None:

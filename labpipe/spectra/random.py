@@ -218,19 +218,6 @@ def _rest(whole: CrossSpectra, half: CrossSpectra, forces: Sequence[int]) -> Cro
     return replace(whole, matrix=rest, n_block=n_block)
 
 
-def estimated_by(estimator: str, n_input: int) -> Callable[[ComplexArray], ComplexArray]:
-    """The *estimator* (H1, H2, Hv) as a function of the spectra (n_line, n_channel, n_channel) [unit^2/Hz],
-    *n_input* forces first.
-    """
-
-    def response_of(matrix: ComplexArray) -> ComplexArray:
-        return ESTIMATORS[estimator](
-            matrix[:, :n_input, :n_input], matrix[:, n_input:, :n_input], matrix[:, n_input:, n_input:]
-        )
-
-    return response_of
-
-
 def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF from Welch averages of all recordings, or by local polynomials. DataError for recordings or
     forces that do not allow one.
@@ -254,7 +241,12 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         blocks = replace(blocks, by_force=tuple(map(int, of_force)), apart=apart)
     parts = parts_of_spectra(spectra, settings, layout, apart=apart)
     n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
-    change = change_of_random(halved, layout, chosen, estimated_by(settings.estimator, n_input), n_input + 1)
+    estimate = ESTIMATORS[settings.estimator]
+
+    def response_of(s: ComplexArray) -> ComplexArray:
+        return estimate(s[:, :n_input, :n_input], s[:, n_input:, :n_input], s[:, n_input:, n_input:])
+
+    change = change_of_random(halved, layout, chosen, response_of, n_input + 1)
     return replace(parts, blocks=blocks, change=change)
 
 
@@ -274,11 +266,8 @@ def parts_of_spectra(
     if settings.estimator == "H1" and layout.one_force_each:
         return parts_of_single_forces(spectra, chosen, layout, half_width, apart)
     matrix = at_lines(joined_spectra(spectra, layout), chosen)
-    s_uu, s_yu, s_yy = (
-        matrix[:, :n_input, :n_input],
-        matrix[:, n_input:, :n_input],
-        matrix[:, n_input:, n_input:],
-    )
+    u, y = slice(n_input), slice(n_input, None)
+    s_uu, s_yu, s_yy = matrix[:, u, u], matrix[:, y, u], matrix[:, y, y]
     quality.check_forces(s_uu, layout)
     if settings.estimator != "H1":
         quality.check_responses(s_yy, layout, settings.estimator)
@@ -420,7 +409,9 @@ def parts_of_single_forces(
         noise = without_rounding(by_force - np.einsum("loi,lpi,li->liop", s_yu, s_yu.conj(), 1 / power))
         freedoms = _freedoms(spectra, layout)
         if apart:
-            dof, freedoms = _common_freedom(freedoms, len(layout.outputs)), freedoms[:, None, None]
+            # nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces.
+            less = freedoms - len(layout.outputs)
+            dof, freedoms = float(np.sum(freedoms / less) / np.sum(1 / less)), freedoms[:, None, None]
         else:
             left = np.einsum("lioo->loi", noise).real
             # Levels of every response would turn what all of them share.
@@ -447,12 +438,6 @@ def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
     least = float(np.min(dof))
     known = least > n_output and least**2 <= MOST_LOST * ((least - n_output) ** 2 - 1)
     return known and least >= LEAST_SHARE * float(np.max(dof))
-
-
-def _common_freedom(freedoms: FloatArray, n_output: int) -> float:
-    """nu of which nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces."""
-    excess = float(np.mean(freedoms / (freedoms - n_output)))
-    return n_output * excess / (excess - 1)
 
 
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:

@@ -4,6 +4,7 @@ scatter of blocks.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -278,9 +279,18 @@ def _lines(
         settle = settle_time(courses) if settings.settle is None else settings.settle
     except DataError as error:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
-    settling = _Settling(settle, min(settle, _settle_of_force(courses, settle)), settings.skip)
-    lines = [_line(source, samples, dwell, settling, force) for dwell in dwells]
-    merged = _merge(lines)
+    # The force alone gives the frequency.
+    steady = settle
+    with contextlib.suppress(DataError):
+        steady = min(settle, settle_time([Course(c.times, c.values[:, :1]) for c in courses]))
+    lines = [_line(source, samples, dwell, (settle, steady, settings.skip), force) for dwell in dwells]
+    groups: list[list[Line]] = []
+    for line in sorted(lines, key=lambda line: line.frequency):
+        if groups and _same(groups[-1][0], line):
+            groups[-1].append(line)
+        else:
+            groups.append([line])
+    merged = [_average(group) for group in groups]
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
     repeats = f" ({len(lines)} dwells)" if len(lines) > len(merged) else ""
     message = (
@@ -309,18 +319,6 @@ def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
     return kept
 
 
-@dataclass(frozen=True)
-class _Settling:
-    """Times after a step [s] that *responses* and *force* take to settle, and periods dropped in any case."""
-
-    responses: float
-    force: float
-    periods: int
-
-    def samples(self, time: float, dwell: Dwell, rate: float) -> int:
-        return int(np.ceil(max(time * rate, self.periods / dwell.frequency)))
-
-
 def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
     """Amplitudes from the step on, of dwells with periods enough; first the force that steps."""
     courses = []
@@ -336,17 +334,16 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
     return courses
 
 
-def _settle_of_force(courses: list[Course], otherwise: float) -> float:
-    """When the force alone is steady [s]: it gives the frequency."""
-    try:
-        return settle_time([Course(course.times, course.values[:, :1]) for course in courses])
-    except DataError:
-        return otherwise
-
-
-def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Settling, force: int) -> Line:
-    rate = source.sample_rate
-    start = dwell.start + settling.samples(settling.responses, dwell, rate)
+def _line(
+    source: SampleSource, samples: FloatArray, dwell: Dwell, settling: tuple[float, float, int], force: int
+) -> Line:
+    """*settling*: times after a step [s] that responses and force take to settle, and periods dropped in any
+    case.
+    """
+    rate, (settle, of_force, skip) = source.sample_rate, settling
+    start, begin = (
+        dwell.start + int(np.ceil(max(time * rate, skip / dwell.frequency))) for time in (settle, of_force)
+    )
     # The last period may hold the beginning of the next step.
     n_period = int((dwell.stop - start) * dwell.frequency) - 1
     # Whole periods per block: as many as hold LEAST_SAMPLES, and so many that there are at most MOST_BLOCKS.
@@ -362,10 +359,10 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
             f"{needed:.3g} s are needed"
         )
         hint = "longer dwells, or state `settle`; a slow sweep has none"
-        raise DataError(f"{what}: {settling.responses:.3g} s for its transient, then periods", hint=hint)
+        raise DataError(f"{what}: {settle:.3g} s for its transient, then periods", hint=hint)
     rough = samples[start : start + round(n_period / dwell.frequency)]
     period = round(1 / dwell.frequency)
-    steady = samples[dwell.start + settling.samples(settling.force, dwell, rate) : dwell.stop - period, force]
+    steady = samples[begin : dwell.stop - period, force]
     frequency = sine_frequency(steady, dwell.frequency)
     variance = frequency_variance(steady, frequency) * rate**2
     length = per_block / frequency
@@ -376,16 +373,6 @@ def _line(source: SampleSource, samples: FloatArray, dwell: Dwell, settling: _Se
     noise = np.einsum("na,nb->ab", error, error.conj()) / (count * (count - 1))
     turn = np.exp(-1j * np.angle(mean[force]))
     return Line(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, count - 1.0)
-
-
-def _merge(lines: list[Line]) -> list[Line]:
-    groups: list[list[Line]] = []
-    for line in sorted(lines, key=lambda line: line.frequency):
-        if groups and _same(groups[-1][0], line):
-            groups[-1].append(line)
-        else:
-            groups.append([line])
-    return [_average(group) for group in groups]
 
 
 def _same(first: Line, other: Line) -> bool:

@@ -50,7 +50,9 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
     times = rising_crossings(force - np.mean(force))
     if times.size <= LEAST_PERIODS:
         raise DataError(f"the force has {times.size} periods, too few for a dwell", hint=_HINT)
-    scatter = _scatter(times)
+    # Standard deviation of a crossing [periods], from the second differences: those of a step are few.
+    bend = np.diff(times, 2) / (0.5 * (times[2:] - times[:-2]))
+    scatter = max(float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6)), LEAST_SCATTER)
     if scatter > MOST_SCATTER:
         raise DataError(f"the force is no sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
     pieces = [
@@ -100,12 +102,6 @@ def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
     level = np.add.reduceat(values, begins) / size
     slope = np.add.reduceat((number - np.repeat(centre, size)) * values, begins) * 12 / (size * (size**2 - 1))
     return np.asarray(before + centre - level / slope)
-
-
-def _scatter(times: FloatArray) -> float:
-    """Standard deviation of a crossing [periods], from the second differences: those of a step are few."""
-    bend = np.diff(times, 2) / (0.5 * (times[2:] - times[:-2]))
-    return max(float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6)), LEAST_SCATTER)
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:
@@ -269,7 +265,11 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     pieces = [piece for run in _runs(times) for piece in _one_way(times[run[0] : run[1]], run[0])]
     runs = _continue([times[first:last] for first, last in pieces if last - first > LEAST_SWEPT_PERIODS])
     sweeps = [_sweep(force, run) for run in runs]
-    sweeps = _reaching(force, [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low])
+    sweeps = [sweep for sweep in sweeps if sweep.high > LEAST_SPAN * sweep.low]
+    # As far as the force follows their law, beyond its last clear crossings.
+    before, after = [0, *(s.stop for s in sweeps)], [*(s.start for s in sweeps[1:]), force.size]
+    reach = zip(sweeps, before, after, strict=False)
+    sweeps = [_extend(_extend(sweep, force, low, -1), force, high, 1) for sweep, low, high in reach]
     if not sweeps:
         raise DataError("the force holds no sweep", hint=_SWEEP_HINT)
     loudest, longest = max(sweep.level for sweep in sweeps), max(sweep.stop - sweep.start for sweep in sweeps)
@@ -353,15 +353,6 @@ def _goes_on(run: Sequence[FloatArray], piece: FloatArray) -> bool:
 def _course(run: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     middle = np.concatenate([(times[1:] + times[:-1]) / 2 for times in run])
     return middle, np.concatenate([1 / np.diff(times) for times in run])
-
-
-def _reaching(force: FloatArray, sweeps: Sequence[FoundSweep]) -> list[FoundSweep]:
-    """The sweeps as far as the *force* follows their law, beyond its last clear crossings."""
-    edges = [0, *(sweep.stop for sweep in sweeps)], [*(sweep.start for sweep in sweeps), force.size]
-    return [
-        _extend(_extend(sweep, force, edges[0][n], -1), force, edges[1][n + 1], 1)
-        for n, sweep in enumerate(sweeps)
-    ]
 
 
 def _extend(sweep: FoundSweep, force: FloatArray, edge: int, sign: int) -> FoundSweep:
@@ -448,9 +439,8 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
     ends = [0, *(sweep.stop for sweep in sweeps)]
     starts = []
     for sweep, before in zip(sweeps, ends, strict=False):
-        early = sweep.start - int(
-            np.ceil(max(MARGIN / sweep.first, MARGIN_SHARE * (sweep.stop - sweep.start)))
-        )
+        margin = max(MARGIN / sweep.first, MARGIN_SHARE * (sweep.stop - sweep.start))
+        early = sweep.start - int(np.ceil(margin))
         # Without a pause the cut lies between the last crossing of one sweep and the first of the next.
         starts.append(max(early, 0 if before == 0 else (before + sweep.start + 1) // 2))
     return list(zip(starts, [*starts[1:], n_sample], strict=True))

@@ -112,25 +112,39 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         names = ", ".join(port.label for port in layout.inputs)
         what = f"{len(sweeps)} sweep(s) cannot separate {n_input} forces ({names})"
         raise DataError(what, hint="one sweep or more for each force")
-    n_sample = _common_length(swept)
+    every = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)]
+    n_sample = max(*(sweep.stop - start for sweep, (start, _) in every), min(b - a for _, (a, b) in every))
     blocks = np.concatenate(
         [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
     )
     band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
     if band[0] >= band[1]:
         raise DataError("the sweeps have no band in common", hint="one test for each band")
-    filled = np.array([(stop - start) / n_sample for run in swept for start, stop in run.cuts])
+    filled = np.array([(stop - start) / n_sample for _, (start, stop) in every])
     filled[filled > WHOLE] = 1.0
     spectra = _in_band(blocks, filled, rate / n_sample, band, n_input, settings)
-    spectra = spectra.select(
-        lines_left(spectra.frequency, settings) & _driven_lines(spectra.blocks[:, :, :n_input])
-    )
+    level = np.linalg.norm(spectra.blocks[:, :, :n_input], axis=0)
+    usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
+    driven = np.all(level >= LEAST_SHARE * usual, axis=1)
+    spectra = spectra.select(lines_left(spectra.frequency, settings) & driven)
     leakage: tuple[Finding, ...] = ()
+    ends = [
+        (sweep.last * rate, np.sqrt(2) * sweep.level * rate)
+        for sweep, (_, stop) in every
+        if stop - sweep.stop < MARGIN_SHARE * (sweep.stop - sweep.start)
+    ]
     # The noise of one sweep is what the local fit leaves, beside its leakage.
     if len(sweeps) <= n_input or not _at_rest(swept, layout, spectra.local, n_sample):
-        spectra, leakage = _without_leakage(spectra, n_input, _ends(swept, rate))
+        spectra, leakage = _without_leakage(spectra, n_input, ends)
     recorded = np.repeat(np.arange(len(swept)), [len(run.cuts) for run in swept])
-    parts = _with_repeats(_parts(spectra, layout, recorded), spectra, sweeps)
+    parts = _parts(spectra, layout, recorded)
+    if n_input == 1 and len(sweeps) > 1:
+        parts = replace(
+            parts,
+            hits=np.swapaxes(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], 0, 1)[..., None],
+            hit_numbers=tuple(range(1, len(sweeps) + 1)),
+            hit_peaks=tuple(sweep.level for sweep in sweeps),
+        )
     assert parts.multiple_coherence is not None
     rates = rate_findings(
         spectra.frequency,
@@ -141,9 +155,9 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         parts.multiple_coherence,
         leaking=spectra.leaking,
     )
-    bursts = _bursts(spectra, swept, layout, n_sample, rate)
     lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
-    low = _low_by_noise(spectra.blocks, lines, swept, layout, n_sample)
+    bursts = _bursts(spectra, lines, every, layout, n_sample, rate)
+    low = _low_by_noise(spectra.blocks, lines, sweeps, layout, n_sample)
     what, hint = "in repeated sweeps makes H low by", "average less of it: a better sensor, or more force"
     noisy = force_noise_findings(parts, low, layout, what, hint)
     return replace(
@@ -162,14 +176,6 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
     whole = [n for n, sweep in enumerate(sweeps) if sweep.high - sweep.low >= WHOLE * widest]
     kept, left_out = [sweeps[n] for n in whole], [s for n, s in enumerate(sweeps) if n not in whole]
     return _Swept(source.name, kept, [places[n] for n in whole], samples, left_out)
-
-
-def _common_length(swept: Sequence[_Swept]) -> int:
-    between = min(stop - start for run in swept for start, stop in run.cuts)
-    longest = max(
-        sweep.stop - start for run in swept for sweep, (start, _) in zip(run.sweeps, run.cuts, strict=True)
-    )
-    return max(between, longest)
 
 
 def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
@@ -198,17 +204,6 @@ def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sampl
             if any(np.any(np.sqrt(np.mean(end**2, axis=0)) > limit) for end in ends):
                 return False
     return True
-
-
-def _with_repeats(parts: Parts, spectra: _Spectra, sweeps: Sequence[FoundSweep]) -> Parts:
-    if parts.matrix.shape[2] > 1 or len(sweeps) < 2:
-        return parts
-    return replace(
-        parts,
-        hits=np.swapaxes(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], 0, 1)[..., None],
-        hit_numbers=tuple(range(1, len(sweeps) + 1)),
-        hit_peaks=tuple(sweep.level for sweep in sweeps),
-    )
 
 
 def _in_band(
@@ -240,13 +235,6 @@ def _in_band(
     around = blocks[:, numbers[0] - half_width : numbers[-1] + half_width + 1]
     local = local_noise(around[:, :, :n_input], around[:, :, n_input:], settings.degree, half_width, filled)
     return _Spectra(frequency[inside], blocks[:, inside], filled, local)
-
-
-def _driven_lines(forces: ComplexArray) -> BoolArray:
-
-    level = np.sqrt(np.sum(np.abs(forces) ** 2, axis=0))
-    usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
-    return np.asarray(np.all(level >= LEAST_SHARE * usual, axis=1))
 
 
 def _without_leakage(
@@ -304,15 +292,6 @@ def _hidden(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatA
 
 # The end of a sweep that ends with its block: its frequency [Hz], and its amplitude [N] by the rate [Hz].
 _End = tuple[float, float]
-
-
-def _ends(swept: Sequence[_Swept], rate: float) -> list[_End]:
-    return [
-        (sweep.last * rate, np.sqrt(2) * sweep.level * rate)
-        for run in swept
-        for sweep, (_, stop) in zip(run.sweeps, run.cuts, strict=True)
-        if stop - sweep.stop < MARGIN_SHARE * (sweep.stop - sweep.start)
-    ]
 
 
 def _of_ends(spectra: _Spectra, n_input: int, ends: Sequence[_End]) -> FloatArray:
@@ -435,12 +414,17 @@ def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[Com
     if n_block <= n_input:
         return local.noise, local.dof / local.width, local.width
     # What was taken out as leakage holds its share of the noise.
-    left = 1 - float(np.mean(local.spread)) if spectra.leaking else 1.0
-    return residual @ hermitian(residual) / ((n_block - n_input) * left), (n_block - n_input) * left, 1
+    left = (n_block - n_input) * (1 - float(np.mean(local.spread)) if spectra.leaking else 1.0)
+    return residual @ hermitian(residual) / left, left, 1
 
 
 def _bursts(
-    spectra: _Spectra, swept: Sequence[_Swept], layout: Layout, n_sample: int, rate: float
+    spectra: _Spectra,
+    lines: IntArray,
+    sweeps: list[tuple[FoundSweep, tuple[int, int]]],
+    layout: Layout,
+    n_sample: int,
+    rate: float,
 ) -> tuple[Finding, ...]:
     """A warning where most of what one force leaves comes in one short part of a sweep, as from a contact."""
     force, responses = spectra.blocks[:, :, 0], spectra.blocks[:, :, 1:]
@@ -457,7 +441,6 @@ def _bursts(
     rest = responses - (smooth(ratio.real) + 1j * smooth(ratio.imag)) * force[:, :, None]
     # Beside a sharp resonance a smooth FRF leaves more than noise.
     excess = np.sum(np.abs(rest) ** 2, axis=(0, 1)) / noise
-    lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
     spectrum = np.zeros((rest.shape[0], n_sample // 2 + 1, rest.shape[2]), np.complex128)
     spectrum[:, lines] = rest
     length = n_sample // PARTS
@@ -468,7 +451,6 @@ def _bursts(
     block, part, output = np.unravel_index(np.argmax(share), share.shape)
     if share[block, part, output] < BURST_SHARE:
         return ()
-    sweeps = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)]
     sweep, (begin, _) = sweeps[block]
     ends = [begin + int(part + n) * length for n in range(2)]
     low, high = sorted(rate * sweep.frequency_at(end) for end in ends)
@@ -483,7 +465,7 @@ def _bursts(
 
 
 def _low_by_noise(
-    blocks: ComplexArray, lines: IntArray, swept: Sequence[_Swept], layout: Layout, n_sample: int
+    blocks: ComplexArray, lines: IntArray, sweeps: list[FoundSweep], layout: Layout, n_sample: int
 ) -> list[FloatArray]:
     """How low least squares make H by noise n in the power s + n of a recording's force, (n_line,) [1] each:
     (1 - 1 / n_block) n / s. Repeated sweeps, alike but for a delay, have the coherence s / (s + n) over lines
@@ -491,7 +473,6 @@ def _low_by_noise(
     """
     forces = blocks[:, :, : len(layout.inputs)]
     size, every = np.sum(np.abs(forces) ** 2, axis=1), np.ones(lines.size, bool)
-    sweeps = [sweep for run in swept for sweep in run.sweeps]
     low: dict[int, FloatArray] = {}
     for force, of_force in enumerate((size == size.sum(axis=1, keepdims=True)).T):
         pairs = itertools.combinations(np.flatnonzero(of_force), 2)

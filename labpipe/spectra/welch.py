@@ -354,7 +354,9 @@ class WelchAverage:
         self._step, self._window, self.n_sample = step, window, window.size
         self._lines = range(window.size // 2 + 1)[lines]
         self._basis = trend_basis(detrend, window.size)
-        trend = _significant_lines(fft.rfft(window * self._basis, axis=1)[:, lines])
+        trend = fft.rfft(window * self._basis, axis=1)[:, lines]
+        above = np.abs(trend) > np.finfo(float).eps * np.sqrt(2 * trend.shape[1])
+        trend = trend[:, : np.max(np.flatnonzero(np.any(above, axis=0)), initial=-1) + 1]
         self._products = segment_products(window, step, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
@@ -430,9 +432,3 @@ def trend_basis(detrend: str, n_sample: int) -> FloatArray:
         : {"none": 0, "constant": 1, "linear": 2}[detrend]
     ]
     return np.array([row / np.linalg.norm(row) for row in rows]).reshape(len(rows), n_sample)
-
-
-def _significant_lines(trend: ComplexArray) -> ComplexArray:
-    size = np.sqrt(2 * trend.shape[1])
-    above = np.flatnonzero(np.any(np.abs(trend) > np.finfo(float).eps * size, axis=0))
-    return trend[:, : above[-1] + 1 if above.size else 0]
