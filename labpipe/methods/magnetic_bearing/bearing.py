@@ -84,11 +84,10 @@ class Magnet(Settings):
 
 @dataclass(frozen=True)
 class MagnetFactors:
-    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m], and the bias flux density [T]."""
+    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m]."""
 
     force_per_current: float
     negative_stiffness: float
-    bias_flux_density: float
 
 
 def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
@@ -118,9 +117,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
     return MagnetFactors(
-        2 * RINGS * bias * magnet.turns / length,
-        2 * RINGS * bias**2 / (MU_0 * magnet.pole_area * length),
-        bias / magnet.pole_area,
+        2 * RINGS * bias * magnet.turns / length, 2 * RINGS * bias**2 / (MU_0 * magnet.pole_area * length)
     )
 
 

@@ -131,8 +131,3 @@ def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexAr
     """Pedestal and levitated rotor in one direction at *omega*, (n_line,) [N/m]. Equation (sim-levitated)."""
     pedestal = linear.dynamic_stiffness(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
-
-
-def coupled_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness matrix of the cross-coupled support, (n_line, 2, 2) [N/m]."""
-    return linear.dynamic_stiffness(rig.rotor_mass * np.eye(2), COUPLED_STIFFNESS, COUPLED_DAMPING, omega)

@@ -33,7 +33,7 @@ from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.wear.model import BETA_STEP, PLACES
-from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
+from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain
@@ -94,18 +94,10 @@ class WearPlanSettings(Settings):
     noise: WearNoise = setting(
         "section", "of the sensors, per sample", section=WearNoise, default=WearNoise()
     )
-    viscosity: Uncertain | None = setting(
-        "uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None
-    )
-    clearance: Uncertain | None = setting(
-        "uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None
-    )
-    cavitation_pressure: Uncertain | None = setting(
-        "uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar", unit="Pa", default=None
-    )
-    beta: Uncertain | None = setting(
-        "uncertain", "damping of the shaft, estimated along", unit="s", default=None
-    )
+    viscosity: Uncertain | None = nuisance("estimated along, e.g. 0.104 Pa.s +- 3 %", "Pa.s")
+    clearance: Uncertain | None = nuisance("of all bearings, estimated along, e.g. 90 um +- 2 %", "m")
+    cavitation_pressure: Uncertain | None = nuisance("estimated along, e.g. -0.1 bar +- 0.1 bar", "Pa")
+    beta: Uncertain | None = nuisance("damping of the shaft, estimated along", "s")
     angle_limit: float = quantity("largest angle there could be, either way", "rad", np.pi / 9)
     goal: WearGoal = setting(
         "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
