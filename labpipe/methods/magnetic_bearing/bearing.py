@@ -26,7 +26,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, section, setting, settings_of
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -142,10 +142,8 @@ class MagneticFile(Settings):
     mass: float = quantity("mass that this bearing carries, for poles and sensitivity", "kg")
     speed: float | None = quantity("speed of the shaft, in Hz or rpm", "Hz", None)
     frequency: float | None = quantity("frequency of the motion; default: the speed", "Hz", None)
-    loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
-    magnet: Magnet | None = setting(
-        "section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None
-    )
+    loop: ControlLoop = section("the position control", ControlLoop, ControlLoop())
+    magnet: Magnet | None = section("geometry of the magnet; gives both factors unless given", Magnet, None)
     force_per_current: float | None = quantity(
         "force-current factor; default: the magnet's, without one the loop's", "N/A", None
     )

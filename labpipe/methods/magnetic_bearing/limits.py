@@ -295,11 +295,11 @@ def recorded_loop(
         """The part of vectors (n_line, n_signal) that some true addition explains, the most likely one."""
         weighted = np.einsum("la,lab->lb", per.conj(), weights)
         added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per, axis=1)
-        return np.asarray(per * added[:, None])
+        return per * added[:, None]
 
     def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
         per = per_added(changed)
-        return np.asarray((along(per, measured.matrix[:, :, 0]) if acceptance.before else per)[:, :, None])
+        return (along(per, measured.matrix[:, :, 0]) if acceptance.before else per)[:, :, None]
 
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise

@@ -88,7 +88,7 @@ def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
     for number in range(PIECE):
         states[:, number] += start
         start = start @ step.T
-    return np.asarray(states[:, :PIECE].reshape(-1, n)[:n_sample])
+    return states[:, :PIECE].reshape(-1, n)[:n_sample]
 
 
 def straight(omega: FloatArray, rate: float) -> FloatArray:

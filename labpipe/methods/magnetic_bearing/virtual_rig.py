@@ -187,7 +187,7 @@ def _hover_force(
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
     """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how the rotor wanders."""
     b, a = scipy.signal.butter(1, HOVER_CORNER, fs=rate)
-    return np.asarray(scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
+    return scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0)
 
 
 def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
