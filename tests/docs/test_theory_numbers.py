@@ -14,7 +14,7 @@ from labpipe.arrays import FloatArray, modal_assurance
 from labpipe.distributions import coverage_factor
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.journal_bearing.film import mean_worn_depth
-from labpipe.methods.magnetic_bearing.bearing import MU_0, Magnet, magnet_factors, magnet_force
+from labpipe.methods.magnetic_bearing.bearing import MU_0, Magnet, magnet_factors, magnet_force, pole_fluxes
 from labpipe.methods.magnetic_bearing.fit import scatter_radius
 from labpipe.methods.magnetic_bearing.sampled_loop import tustin
 from labpipe.methods.magnetic_bearing.stability import pade
@@ -238,7 +238,7 @@ def test_wear() -> None:
 def test_magnets() -> None:
     magnet = Magnet(turns=80, gap=4e-4, pole_area=2e-4, bias_current=2.0)
     factors = magnet_factors(magnet)
-    flux = factors.bias_flux_density * magnet.pole_area
+    flux = pole_fluxes(magnet, 0.0, 0.0)[0]
     assert factors.force_per_current == pytest.approx(4 * flux * 80 / magnet.gap)  # mag-factors
     assert factors.negative_stiffness == pytest.approx(4 * flux**2 / (MU_0 * magnet.pole_area * magnet.gap))
     assert factors.force_per_current == pytest.approx(

@@ -50,12 +50,10 @@ class ScaledCoefficients:
 
 @dataclass(frozen=True)
 class JournalCurve:
-    """Coefficients over ln S at one length over diameter and *groove_width* [rad]; made by `journal_curve`.
+    """Coefficients over ln S at one length over diameter and groove width; made by `journal_curve`.
     spline: K c / W (4), C c Omega / W (4), eccentricity ratio, attitude [rad]; slope: its derivative.
     """
 
-    length_over_diameter: float
-    groove_width: float
     spline: scipy.interpolate.BSpline
     slope: scipy.interpolate.BSpline
 
@@ -105,7 +103,7 @@ def journal_curve(
     places = np.linspace(np.log(LOWEST_SOMMERFELD), np.log(HIGHEST_SOMMERFELD), nodes)
     fine, coarse = (_rows(bearing, places, cells) for cells in (mesh, half))
     spline = scipy.interpolate.make_interp_spline(places, (4 * fine - coarse) / 3, 3)
-    return JournalCurve(length_over_diameter, groove_width, spline, spline.derivative())
+    return JournalCurve(spline, spline.derivative())
 
 
 def curve_of(bearing: JournalBearing) -> JournalCurve:

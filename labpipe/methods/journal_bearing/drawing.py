@@ -43,7 +43,7 @@ def _mid_width(
     axes: Axes, film: PressureField, angle: FloatArray, pressure: FloatArray, order: IntArray
 ) -> None:
     nearest = np.isclose(np.abs(film.axial), np.abs(film.axial).min(), atol=1e-12)
-    axes.plot(angle, np.asarray(pressure[:, nearest].mean(axis=1)), color=PALETTE[0])
+    axes.plot(angle, pressure[:, nearest].mean(axis=1), color=PALETTE[0])
     axes.set_ylabel("pressure at mid width [bar]", color=PALETTE[0])
     beside = axes.twinx()
     beside.plot(angle, UM * film.thickness[order], "--", color=PALETTE[1])

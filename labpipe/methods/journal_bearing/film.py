@@ -176,7 +176,14 @@ class Film:
     @cached_property
     def grooves(self) -> tuple[BoolArray, FloatArray]:
         """Cells in a groove, conductance of the faces by their distance to an edge, (n_theta,) [-]."""
-        return _grooves(self.grid, self.mesh.arc, self.groove)
+        from_split = np.abs(np.mod(self.grid.centre + np.pi / 2, np.pi) - np.pi / 2)
+        grooved = from_split < self.groove / 2
+        distance = np.maximum((from_split - self.groove / 2) / self.mesh.arc, LEAST_DISTANCE)
+        after = np.roll(grooved, -1)
+        opening = np.ones_like(self.grid.centre)
+        opening[after & ~grooved] = 1 / distance[after & ~grooved]
+        opening[grooved & ~after] = 1 / np.roll(distance, -1)[grooved & ~after]
+        return grooved, opening
 
     def coarser(self) -> Film | None:
         """The same film with half the cells each way, None where that is too coarse."""
@@ -249,17 +256,6 @@ def film_equations(
         diagonal[grooved], residual[grooved] = GROOVE_DIAGONAL, GROOVE_DIAGONAL * pressure[grooved]
         by_displacement[:, grooved], cavitated[grooved] = 0, True
     return FilmEquations(around, across, diagonal, residual, by_displacement, cavitated)
-
-
-def _grooves(grid: FilmGrid, arc: float, groove: float) -> tuple[BoolArray, FloatArray]:
-    from_split = np.abs(np.mod(grid.centre + np.pi / 2, np.pi) - np.pi / 2)
-    grooved = from_split < groove / 2
-    distance = np.maximum((from_split - groove / 2) / arc, LEAST_DISTANCE)
-    after = np.roll(grooved, -1)
-    opening = np.ones_like(grid.centre)
-    opening[after & ~grooved] = 1 / distance[after & ~grooved]
-    opening[grooved & ~after] = 1 / np.roll(distance, -1)[grooved & ~after]
-    return grooved, opening
 
 
 def rounded_maximum(x: FloatArray, width: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, PressureField
 from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import NO_LOAD, JournalBearing, converged_equilibrium
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 from labpipe.report.chart import WIDTH, Drawing
 from labpipe.report.document import Figure
 
@@ -57,7 +56,7 @@ class JournalSettings(Settings):
     )
     cavitation_pressure: float = quantity("pressure at which the film tears, against ambient", "Pa", 0.0)
     groove_width: float = quantity("width of two axial grooves at the horizontal split", "rad", 0.0)
-    wear: Wear = setting("section", "wear of the bushing", section=Wear, default=Wear())
+    wear: Wear = section("wear of the bushing", Wear, Wear())
 
     def __post_init__(self) -> None:
         if self.temperature is not None and (self.viscosity_temperature is None or not self.viscosity_slope):
@@ -109,12 +108,8 @@ class JournalFile(JournalSettings):
             raise SettingError("accuracy", "must lie between 0.01 % and 50 %")
 
 
-def journal_coefficients(settings: Sequence[JournalFile]) -> list[BearingCoefficients]:
-    """Of all settings, in order, each on the coarsest mesh that is accurate enough."""
-    return [_coefficients(entry) for entry in settings]
-
-
-def _coefficients(settings: JournalFile) -> BearingCoefficients:
+def journal_coefficients(settings: JournalFile) -> BearingCoefficients:
+    """On the coarsest mesh that is accurate enough."""
     load = (settings.side_load, -settings.load)
     state = converged_equilibrium(settings.bearing(), load, 2 * np.pi * settings.speed, settings.accuracy)
     film = PressureField(state.theta, state.axial, state.pressure, state.film_thickness)
@@ -144,7 +139,7 @@ def _coefficients(settings: JournalFile) -> BearingCoefficients:
 
 JOURNAL_KIND = BearingKind(
     JournalFile,
-    journal_coefficients,
+    lambda settings: [journal_coefficients(entry) for entry in settings],
     on_rotor=JournalSettings,
     mount=JournalSettings.bearing,
     figures=lambda name, coefficients: (

@@ -250,7 +250,7 @@ class FollowedFit:
         _, _, multiplier, slopes, weighted = self.fit.parts(z, noise, self.now.values)
         added, _ = running_fit.normal_equations(slopes, weighted, multiplier)
         unit, scale = running_fit.scaled(self.now.information * counts.size / self.now.n + added)
-        return np.asarray(np.diag(np.linalg.pinv(unit, hermitian=True)) / scale**2)
+        return np.diag(np.linalg.pinv(unit, hermitian=True)) / scale**2
 
 
 def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel], rate: float) -> str:

@@ -229,7 +229,7 @@ class Forecast:
 
 def half_of_noise(std_error: FloatArray, dof: FloatArray) -> FloatArray:
     """t(nu) sqrt(1 + 2 / nu) s (n_parameter,) [parameter units]: it holds 95 % at the stop."""
-    return np.asarray(scipy.special.stdtrit(dof, 0.975) * np.sqrt(1 + 2 / dof) * std_error)
+    return scipy.special.stdtrit(dof, 0.975) * np.sqrt(1 + 2 / dof) * std_error
 
 
 def needed(estimate: running_fit.Estimate, number: int, goal: float, scale: float = 1.0) -> int | None:

@@ -212,7 +212,7 @@ class Equation:
         moved = np.einsum("plij,lej->leip", stiffness, motion)
         if np.any(factors):
             moved = moved - np.einsum("pij,lej->leip", factors, force)
-        return np.asarray(-moved)
+        return -moved
 
 
 @dataclass(frozen=True)
@@ -316,7 +316,7 @@ class RunningFit:
             if number:
                 inverse = self._weight(mean, covariance, values)[1]
                 weight = np.linalg.cholesky(inverse).conj().swapaxes(-1, -2)
-                design, right = np.asarray(weight @ slopes), (weight @ side[..., None])[..., 0]
+                design, right = (weight @ slopes), (weight @ side[..., None])[..., 0]
             rows = np.concatenate([part.reshape(-1, n_parameter) for part in (design.real, design.imag)])
             sides = np.concatenate([right.real.ravel(), right.imag.ravel()])
             size = np.linalg.norm(rows, axis=0)
@@ -341,7 +341,7 @@ class RunningFit:
         std_error = np.sqrt(np.diag(covariance_of_values))
         shares = moving_mean(2 * np.sum(((slopes @ inverse).conj() * (weighted @ inverse)).real, axis=2))
         spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
-        dof = np.asarray(2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0))
+        dof = 2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0)
         freedom = 2 * residual.size - n_parameter
         reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
         misfit = bool(f_tail(reduced, freedom, smoothed) < MISFIT_P)
@@ -353,7 +353,7 @@ def scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """An information (n_parameter, n_parameter) [1/unit^2] with the diagonal 1, and its scale [1/unit]."""
     scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0
-    return np.asarray(information / np.outer(scale, scale)), scale
+    return (information / np.outer(scale, scale)), scale
 
 
 def normal_equations(

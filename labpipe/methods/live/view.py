@@ -18,7 +18,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.cli.many import duration
 from labpipe.display import amount_text, difference_in, shown_unit, unit_label
-from labpipe.document.html_page import render_html
+from labpipe.document.html_page import page_part, render_html
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, obstacle
 from labpipe.methods.live.charts import Goal, Standing, Update
@@ -310,32 +310,6 @@ def _responses(session: Session) -> Iterator[Figure]:
 ADDRESS = "127.0.0.1"
 # A page that does not listen is told so every so many seconds.
 HEARTBEAT = 15.0
-# Two frames one upon the other: the new state is shown when it is drawn, at the place that was read.
-SHELL = """<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>labpipe live</title><style>
-html,body{margin:0;height:100%}iframe{position:fixed;inset:0;width:100%;height:100%;border:0}
-.hidden{visibility:hidden}</style></head><body><iframe id="a" title="state of the test"></iframe>
-<iframe id="b" class="hidden" title="state of the test, next"></iframe><script>
-let [front, back] = [document.getElementById("a"), document.getElementById("b")];
-const query = location.search;
-let busy = false, waiting = false, number = 0;
-function load() {
-  if (busy) { waiting = true; return; }
-  busy = true;
-  back.onload = () => {
-    const place = front.contentWindow ? front.contentWindow.scrollY : 0;
-    back.contentWindow.scrollTo(0, place);
-    back.className = ""; front.className = "hidden";
-    [front, back] = [back, front];
-    document.title = front.contentDocument.title;
-    busy = false;
-    if (waiting) { waiting = false; load(); }
-  };
-  back.src = "/state" + query + "&n=" + ++number;
-}
-new EventSource("/events" + query).onmessage = load;
-load();
-</script></body></html>
-"""
 
 
 class Page:
@@ -383,7 +357,7 @@ class Page:
         if not is_own or not secrets.compare_digest(token.encode(), self.token.encode()):
             request.send_error(HTTPStatus.FORBIDDEN)
         elif parts.path == "/":
-            self._send(request, SHELL.encode())
+            self._send(request, page_part("live.html").encode())
         elif parts.path == "/state":
             self._send(request, self._html)
         elif parts.path == "/events":

@@ -26,7 +26,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, section, setting, settings_of
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -84,11 +84,10 @@ class Magnet(Settings):
 
 @dataclass(frozen=True)
 class MagnetFactors:
-    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m], and the bias flux density [T]."""
+    """F = k_i i + k_n x of the centred rotor: k_i [N/A], k_n [N/m]."""
 
     force_per_current: float
     negative_stiffness: float
-    bias_flux_density: float
 
 
 def pole_fluxes(magnet: Magnet, displacement: float, current: float) -> FloatArray:
@@ -118,9 +117,7 @@ def magnet_factors(magnet: Magnet) -> MagnetFactors:
     length = magnet.gap + magnet.iron_length
     bias = float(pole_fluxes(magnet, 0.0, 0.0)[0])
     return MagnetFactors(
-        2 * RINGS * bias * magnet.turns / length,
-        2 * RINGS * bias**2 / (MU_0 * magnet.pole_area * length),
-        bias / magnet.pole_area,
+        2 * RINGS * bias * magnet.turns / length, 2 * RINGS * bias**2 / (MU_0 * magnet.pole_area * length)
     )
 
 
@@ -145,10 +142,8 @@ class MagneticFile(Settings):
     mass: float = quantity("mass that this bearing carries, for poles and sensitivity", "kg")
     speed: float | None = quantity("speed of the shaft, in Hz or rpm", "Hz", None)
     frequency: float | None = quantity("frequency of the motion; default: the speed", "Hz", None)
-    loop: ControlLoop = setting("section", "the position control", section=ControlLoop, default=ControlLoop())
-    magnet: Magnet | None = setting(
-        "section", "geometry of the magnet; gives both factors unless given", section=Magnet, default=None
-    )
+    loop: ControlLoop = section("the position control", ControlLoop, ControlLoop())
+    magnet: Magnet | None = section("geometry of the magnet; gives both factors unless given", Magnet, None)
     force_per_current: float | None = quantity(
         "force-current factor; default: the magnet's, without one the loop's", "N/A", None
     )

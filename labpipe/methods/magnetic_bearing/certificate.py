@@ -269,14 +269,8 @@ class FittedModel:
 
 # Amounts of a fitted closed loop by the first part of their names.
 OF_LOOP = (
-    "sensitivity_*",
-    "gain_margin_*",
-    "phase_margin",
-    "delay_margin",
-    "disk_margin",
-    "f_n_*",
-    "log_decrement_*",
-    "pole_*",
+    *("sensitivity_*", "gain_margin_*", "phase_margin", "delay_margin", "disk_margin"),
+    *("f_n_*", "log_decrement_*", "pole_*"),
 )
 
 

@@ -259,10 +259,11 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
 
 def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> Comparison:
     """With a finding on *ports* of uncertain direction: nothing tells what they read across."""
-    names = loop_problem.directions_left_out(ports)
-    if not names:
+    names = (port.label for port in ports if any(c.effect == "direction" for c in port.uncertainties))
+    labels = ", ".join(dict.fromkeys(names))
+    if not labels:
         return comparison
-    what = f"uncertainties of the directions of {', '.join(names)} are not propagated"
+    what = f"uncertainties of the directions of {labels} are not propagated"
     finding = Finding("number-uncertainty", f"{what}: no other channel tells the motion across")
     return replace(comparison, findings=(*comparison.findings, finding))
 

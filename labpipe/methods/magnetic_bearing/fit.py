@@ -225,7 +225,7 @@ def _variance(rotor: balance.Levitation, measured: ComplexArray, inverse: Comple
     covariance = rotor.to_axes @ rotor.covariance @ rotor.to_axes.T
     rows = np.concatenate([-measured, np.broadcast_to(np.eye(n), measured.shape)], axis=2)
     noise = np.einsum("lkc,lrcd,lkd->lrk", rows, covariance, rows.conj()).real
-    return np.asarray(np.einsum("lrk,lrm->lkm", noise, np.abs(inverse) ** 2))
+    return np.einsum("lrk,lrm->lkm", noise, np.abs(inverse) ** 2)
 
 
 def magnet_fits(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -53,7 +53,7 @@ class LongRotor(Settings):
     bearings: tuple[float, ...] = setting("values", "places of the two bearings", unit="m")
     sensors: tuple[float, ...] = setting("values", "places of the two sensors, of either axis", unit="m")
     polar_inertia: float = quantity("polar moment of inertia", "kg.m^2", 0.0)
-    bending: BendingMode | None = setting("section", "a bending mode", section=BendingMode, default=None)
+    bending: BendingMode | None = section("a bending mode", BendingMode, None)
 
     def __post_init__(self) -> None:
         self.require_positive("inertia")
@@ -118,13 +118,11 @@ class LevitatedRig(Settings):
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     mass: float = quantity("mass of the rotor", "kg")
-    control: SampledPid = setting("section", "the controller", section=SampledPid)
+    control: SampledPid = section("the controller", SampledPid)
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual levitated rotor")
     axes: str = setting("choice", "directions", choices=tuple(AXES), default="x")
-    rotor: LongRotor | None = setting(
-        "section", "rotor on two bearings; without it, a mass on one", section=LongRotor, default=None
-    )
+    rotor: LongRotor | None = section("rotor on two bearings; without it, a mass on one", LongRotor, None)
     force_per_current: float = quantity("k_i of one bearing", "N/A", 80.0)
     negative_stiffness: float = quantity(
         "pull of one bearing's bias field per displacement, -k_s", "N/m", 2e5
@@ -132,9 +130,7 @@ class LevitatedRig(Settings):
     damping: float = quantity("passive damping at every bearing", "N.s/m", 0.0)
     cross_stiffness: float = quantity("k_xy = -k_yx at every bearing, as of a seal", "N/m", 0.0)
     amplifier_bandwidth: float = quantity("-3 dB bandwidth of the current amplifiers", "Hz", 2000.0)
-    injection: Injection = setting(
-        "section", "what is added in the loop", section=Injection, default=Injection()
-    )
+    injection: Injection = section("what is added in the loop", Injection, Injection())
     shaker: float = quantity("rms force of a shaker at every bearing and axis (run shaker)", "N", 10.0)
     speed: float = quantity("shaft speed", "Hz", 0.0)
     unbalance: float = quantity("mass times eccentricity", "kg.m", 0.0)
@@ -149,7 +145,7 @@ class LevitatedRig(Settings):
     output_recorded: bool = setting(
         "flag", "the controller's outputs, with what is added there, are recorded too (u_)", default=False
     )
-    noise: LevitatedNoise = setting("section", "noise", section=LevitatedNoise, default=LevitatedNoise())
+    noise: LevitatedNoise = section("noise", LevitatedNoise, LevitatedNoise())
 
     def __post_init__(self) -> None:
         self.require_positive("mass", "force_per_current", "amplifier_bandwidth", "sample_rate", "shaker")
@@ -268,7 +264,7 @@ def bearing_stiffness(rig: LevitatedRig) -> FloatArray:
     if rig.axes == "x":
         return direct
     coupling = np.array([[0.0, 1.0], [-1.0, 0.0]]) * rig.cross_stiffness
-    return np.asarray(direct + np.kron(np.eye(len(direct) // 2), coupling))
+    return direct + np.kron(np.eye(len(direct) // 2), coupling)
 
 
 def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
@@ -308,7 +304,7 @@ class LevitatedLoop:
         """Poles (n_state,) [1/s], s = rate ln z, but z = 0 that a delay holds. Equation (sim-poles)."""
         values = np.linalg.eigvals(self.a)
         values = values[np.abs(values) > sampled_loop.ROUNDING]
-        return np.asarray(self.rate * np.log(values.astype(np.complex128)))
+        return self.rate * np.log(values.astype(np.complex128))
 
     def run(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Output of the controller with what is added (n_sample, n_axis) [A], motion at the sensors [m] and

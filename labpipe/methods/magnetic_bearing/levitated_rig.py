@@ -118,7 +118,7 @@ def _random(
     spectrum[inside] = draws * rms * shape[0] / np.sqrt(4 * draws.shape[0])
     if straight_lines:
         spectrum /= straight(2 * np.pi * frequency, rig.control.rate)[:, None]
-    return np.asarray(fft.irfft(spectrum, shape[0], axis=0))
+    return fft.irfft(spectrum, shape[0], axis=0)
 
 
 def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:

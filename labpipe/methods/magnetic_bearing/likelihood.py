@@ -40,7 +40,7 @@ class Residual:
 
     def whiten(self, errors: ComplexArray) -> ComplexArray:
         """L^-1 of errors (..., n_line, n_run, n) [N]."""
-        return np.asarray(np.linalg.solve(self.lower, errors[..., None])[..., 0])
+        return np.linalg.solve(self.lower, errors[..., None])[..., 0]
 
 
 class MagnetLikelihood:
@@ -69,11 +69,11 @@ class MagnetLikelihood:
         """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at *values* (n_parameter,)
         [parameter units].
         """
-        return np.asarray(self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes)
+        return self.model.rows(values, self.rotor.omega) @ self.rotor.to_axes
 
     def slopes(self, values: FloatArray) -> ComplexArray:
         """dB/dp by channels (n_parameter, n_line, n, n_channel) [N per SI units of channel and parameter]."""
-        return np.asarray(self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes)
+        return self.model.slopes(values, self.rotor.omega) @ self.rotor.to_axes
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """L^-1 e as real numbers (n_equation,) [1] at *parameters* (n_parameter,) [parameter units]."""
@@ -145,7 +145,7 @@ def _least_squares(columns: ComplexArray, side: ComplexArray) -> FloatArray:
     scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     right = likelihood.real_rows(side.reshape(1, -1))[0]
-    return np.asarray(-np.linalg.lstsq(design / scale, right, rcond=None)[0] / scale)
+    return -np.linalg.lstsq(design / scale, right, rcond=None)[0] / scale
 
 
 NEAR, MOST_STEPS = 1e-4, 60
@@ -218,7 +218,7 @@ class LateLikelihood(MagnetLikelihood):
         """B by channels (n_line, n, n_channel) [N per SI unit of the channel] at values (n_parameter + 1,)
         [parameter units, s]. Equation (mag-late).
         """
-        return np.asarray(super().rows(values[:-1]) * self._turn(values[-1]))
+        return super().rows(values[:-1]) * self._turn(values[-1])
 
     def slopes(self, values: FloatArray) -> ComplexArray:
         """dB/dp by channels (n_parameter + 1, n_line, n, n_channel) [N per SI units of channel and

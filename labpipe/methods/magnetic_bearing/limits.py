@@ -295,11 +295,11 @@ def recorded_loop(
         """The part of vectors (n_line, n_signal) that some true addition explains, the most likely one."""
         weighted = np.einsum("la,lab->lb", per.conj(), weights)
         added = np.sum(weighted * vectors, axis=1) / np.sum(weighted * per, axis=1)
-        return np.asarray(per * added[:, None])
+        return per * added[:, None]
 
     def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
         per = per_added(changed)
-        return np.asarray((along(per, measured.matrix[:, :, 0]) if acceptance.before else per)[:, :, None])
+        return (along(per, measured.matrix[:, :, 0]) if acceptance.before else per)[:, :, None]
 
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise
@@ -346,23 +346,20 @@ def _computed(
     loop, other = (open_loop(each.levitated(), measured.omega, rate) for each in (file, moved))
     if acceptance.filtered or loop.sensor != other.sensor or np.any(loop.controller != other.controller):
         return []
-    ahead, added = ("before", 0.0) if acceptance.before else ("after", 1.0)
-    if acceptance.injection == OUTPUT:
-        laws = [("displacement", ahead, "displacement", loop.sensor * loop.controller, added)]
-    else:
-        sensor = np.full_like(loop.controller, loop.sensor)
-        laws = [("displacement", ahead, "displacement", sensor, added)]
-        laws.append(("output", "output", "after", loop.controller, 0.0))
+    sensor = np.full_like(loop.controller, loop.sensor)
+    reading = sensor * loop.controller if acceptance.injection == OUTPUT else sensor
+    laws = [("displacement", *(("before", 0.0) if acceptance.before else ("after", 1.0)), reading)]
+    if acceptance.injection == INPUT:
+        laws.append(("output", "after", 0.0, 1 / loop.controller))
     computed = []
-    for signal, of, by, law, constant in laws:
+    for signal, of, added, law in laws:
         if signal in signals:
-            row, column = signals.index(of), signals.index(by)
-            left = measured.matrix[:, row, 0] - law * measured.matrix[:, column, 0] - constant
             slopes = np.zeros(measured.matrix.shape[:2], np.complex128)
-            slopes[:, row], slopes[:, column] = 1.0, -law
+            slopes[:, signals.index(of)], slopes[:, signals.index(signal)] = 1.0, -law
+            left = np.einsum("la,la->l", slopes, measured.matrix[:, :, 0]) - added
             variance = np.einsum("la,lab,lb->l", slopes, measured.covariance, slopes.conj()).real
-            chi2 = 2 * float(np.sum(np.abs(left) ** 2 / variance))
-            if chi2 < COMPUTED * 2 * left.size and chi2_tail(chi2, 2 * left.size) > 1 - MISMATCH_P:
+            chi2, dof = 2 * float(np.sum(np.abs(left) ** 2 / variance)), 2 * left.size
+            if chi2 < COMPUTED * dof and chi2_tail(chi2, dof) > 1 - MISMATCH_P:
                 computed.append(signal)
     return computed
 

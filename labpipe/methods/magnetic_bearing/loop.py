@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 
 # Entries of the PID, which a controller of blocks takes the place of.
 PID = ("proportional", "derivative", "derivative_time", "lag", "lag_time")
@@ -45,9 +45,7 @@ class ControlLoop(Settings):
     controller: tuple[ControllerBlock, ...] = setting(
         "entries", "blocks in series, instead of the PID", section=ControllerBlock, default=()
     )
-    cross: CrossControl | None = setting(
-        "section", "the other elements of a controller matrix", section=CrossControl, default=None
-    )
+    cross: CrossControl | None = section("the other elements of a controller matrix", CrossControl, None)
 
     def __post_init__(self) -> None:
         self.require_not_negative("derivative_time", "lag_time", "delay")

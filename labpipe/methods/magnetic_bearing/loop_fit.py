@@ -13,7 +13,6 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.causes import stated_findings
 from labpipe.estimation.descent import Minimum, linearised, minimise
 from labpipe.estimation.diagnostics import COLLINEAR_CONDITION, MISMATCH_P
-from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import SAYS_NOTHING, Pulls, correlation, steps_by, student_limit
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, LoopProblem, unknown
@@ -148,7 +147,7 @@ class LoopMinimum:
 
     def random(self, inflation: float) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [1] of u by noise, its weights *inflation* too light."""
-        return np.asarray(inflation * (self.inverse - self.steps.T @ self.steps))
+        return inflation * (self.inverse - self.steps.T @ self.steps)
 
     def combined(self, inflation: float) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [1] of u by noise and by all sources."""
@@ -306,7 +305,10 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
     observations = problem.observations
     equations = sum(loop.measured.n_equation - loop.nuisance for loop in observations)
     dof = equations - len(problem.unknowns)
-    uncertainty = weight_uncertainty(_weigh(observations[0]), dof)
+    measured = observations[0].measured
+    # As many outputs as count: a complex unknown of every line takes one of them.
+    taken = observations[0].nuisance // (2 * measured.omega.size)
+    uncertainty = weight_uncertainty(replace(measured, matrix=measured.matrix[:, taken:]), dof)
     at_end = LoopMinimum.of(problem, minimum.values)
     reduced = at_end.chi2(uncertainty.excess) / dof
     # By the responses themselves: a source that is known better from elsewhere hides no unknown.
@@ -398,12 +400,6 @@ def _curve(
         low = min(low, parameter.value - reach if parameter.value else 0.0)
         high = max(high, parameter.value + reach)
     return replace(parameter, ci95=(low, high), significant=not low <= 0 <= high)
-
-
-def _weigh(observation: LoopObservation) -> Measured:
-    """The measurement with as many outputs as count: a complex unknown of every line takes one of them."""
-    taken = observation.nuisance // (2 * observation.measured.omega.size)
-    return replace(observation.measured, matrix=observation.measured.matrix[:, taken:])
 
 
 def goodness(fit: LoopFit) -> list[Parameter]:

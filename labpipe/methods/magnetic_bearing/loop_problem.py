@@ -146,12 +146,6 @@ def merge(errors: Iterable[MatrixError]) -> tuple[MatrixError, ...]:
     return tuple(by_source.values())
 
 
-def directions_left_out(ports: Iterable[Port]) -> list[str]:
-    """Labels of the ports whose direction has an uncertainty."""
-    uncertain = (port.label for port in ports if any(c.effect == "direction" for c in port.uncertainties))
-    return list(dict.fromkeys(uncertain))
-
-
 STEP = 1e-5
 
 Predict = Callable[[MagneticFile, tuple[float, float]], ComplexArray]

@@ -127,7 +127,7 @@ def _powers(places: FloatArray, omega: FloatArray, count: int) -> FloatArray:
     """(..., n_place, count) [1]: powers of log omega [rad/s], -1 to 1 over omega (..., n_line)."""
     low, high = np.log(omega[..., :1]), np.log(omega[..., -1:])
     x = (2 * np.log(places) - low - high) / (high - low)
-    return np.asarray(x[..., None] ** np.arange(count))
+    return x[..., None] ** np.arange(count)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from scipy import linalg
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
@@ -67,14 +67,6 @@ class SampledLoop:
         states = np.stack([linear_states(self.a, driven) for driven in directions], axis=1)
         return states @ self.c.T + inputs @ self.d.T
 
-    def response(self, omega: FloatArray) -> ComplexArray:
-        """z over force (as `straight` feeds it), noise and injection at *omega* [rad/s], (n_line, 5, 3)."""
-        z = np.exp(1j * omega / self.rate)[:, None, None]
-        inverse = np.linalg.inv(z * np.eye(self.a.shape[0]) - self.a)
-        whole = self.c @ inverse @ self.b + self.d
-        force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, self.rate)[:, None, None]
-        return np.concatenate([force, whole[:, :, 2:]], axis=2)
-
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
     """s[k] of s[k+1] = A s[k] + *driven*[k] (n_sample, n_state) [units of the states] from rest, with A =
@@ -96,7 +88,7 @@ def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
     for number in range(PIECE):
         states[:, number] += start
         start = start @ step.T
-    return np.asarray(states[:, :PIECE].reshape(-1, n)[:n_sample])
+    return states[:, :PIECE].reshape(-1, n)[:n_sample]
 
 
 def straight(omega: FloatArray, rate: float) -> FloatArray:

@@ -61,7 +61,7 @@ class MeasuredSensitivity:
     def size_changes(self) -> FloatArray:
         """Changes of |S| by one standard uncertainty of every source, (n_source, n_line) [1]."""
         along = self.values.conj() / np.maximum(self.size, 1e-300)
-        return np.asarray((self._changes * along).real)
+        return (self._changes * along).real
 
     @property
     def _changes(self) -> ComplexArray:
@@ -71,12 +71,12 @@ class MeasuredSensitivity:
     @property
     def transfer(self) -> tuple[ComplexArray, FloatArray]:
         """L = 1 / S - 1, its variance |S|^-4 var S, (n_line,) each [1]. Equation (mag-loop-transfer)."""
-        return np.asarray(1 / self.values - 1), 2 * self.error**2 / self.size**4
+        return (1 / self.values - 1), 2 * self.error**2 / self.size**4
 
     @property
     def transfer_changes(self) -> ComplexArray:
         """dL = -S^-2 dS by every source, (n_source, n_line) [1]. Equation (mag-transfer-change)."""
-        return np.asarray(-self._changes / self.values**2)
+        return -self._changes / self.values**2
 
     @property
     def course(self) -> Course:
@@ -87,7 +87,7 @@ class MeasuredSensitivity:
     @property
     def combined(self) -> FloatArray:
         """Combined standard uncertainty of |S|, (n_line,) [1]."""
-        return np.asarray(np.sqrt(self.error**2 + np.sum(self.size_changes**2, axis=0)))
+        return np.sqrt(self.error**2 + np.sum(self.size_changes**2, axis=0))
 
     def observation(self, file: MagneticFile) -> loop_problem.LoopObservation:
         """S with its noise, and its prediction by a file."""

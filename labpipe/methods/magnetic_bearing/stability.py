@@ -145,7 +145,7 @@ def unstable_poles(plant: Suspended) -> int:
         pairs, turned = ["xx"], dynamic_stiffness(loop, plant.negative_stiffness, omega) - inertia
     else:
         pairs, dynamic = ["xx", "xy", "yx", "yy"], stiffness_matrix(loop, plant.negative_stiffness, omega)
-        turned = np.asarray(np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2)))
+        turned = np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2))
     poles = [pole for pair in pairs for pole in in_series(loop.blocks(*pair))[0].poles]
     # Stable poles turn by what they add to n, so that only others count, at s = 0 as slow damped ones.
     for pole in poles:
@@ -226,7 +226,7 @@ class OpenLoop:
     @property
     def sensitivity(self) -> ComplexArray:
         """S = 1 / (1 + L) (n_line,) [1]."""
-        return np.asarray(1 / (1 + self.loop))
+        return 1 / (1 + self.loop)
 
     def signals(self, place: str) -> dict[str, ComplexArray]:
         """SIGNALS per injection (n_line,) [V/V, m/V, A/V], added ahead of the controller (input) or behind it

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -30,9 +30,7 @@ class Levitation(Settings):
     dynamic: float = quantity("stiffness gained far above the corner, k_1", "N/m", 110e3)
     corner: float = quantity("corner frequency f_c", "Hz", 150.0)
     bearings: int = setting("integer", "equal bearings in parallel", default=2)
-    loop: ControlLoop = setting(
-        "section", "the position control (law control-loop)", section=ControlLoop, default=ControlLoop()
-    )
+    loop: ControlLoop = section("the position control (law control-loop)", ControlLoop, ControlLoop())
 
     def __post_init__(self) -> None:
         self.require_positive("bearings", "corner")
@@ -67,10 +65,8 @@ class VirtualMagneticRig(Settings):
     speed: float = quantity("shaft speed of the rotating run", "Hz", 8000 / 60)
     unbalance: float = quantity("1x amplitude of the rotating run", "m", 4e-6)
     radial_force: float = quantity("rms force of the shaker in radial runs", "N", 2.0)
-    levitation: Levitation = setting(
-        "section", "the magnetic bearings", section=Levitation, default=Levitation()
-    )
-    noise: Noise = setting("section", "measuring noise", section=Noise, default=Noise())
+    levitation: Levitation = section("the magnetic bearings", Levitation, Levitation())
+    noise: Noise = section("measuring noise", Noise, Noise())
 
     def __post_init__(self) -> None:
         self.require_positive("pedestal_mass", "rotor_mass", "axial_mass", "radial_force", "actuator_gain")
@@ -131,8 +127,3 @@ def levitated_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexAr
     """Pedestal and levitated rotor in one direction at *omega*, (n_line,) [N/m]. Equation (sim-levitated)."""
     pedestal = linear.dynamic_stiffness(rig.rotor_mass, rig.pedestal_stiffness, rig.pedestal_damping, omega)
     return pedestal + levitation_stiffness(rig.levitation, omega)
-
-
-def coupled_stiffness(rig: VirtualMagneticRig, omega: FloatArray) -> ComplexArray:
-    """Dynamic stiffness matrix of the cross-coupled support, (n_line, 2, 2) [N/m]."""
-    return linear.dynamic_stiffness(rig.rotor_mass * np.eye(2), COUPLED_STIFFNESS, COUPLED_DAMPING, omega)

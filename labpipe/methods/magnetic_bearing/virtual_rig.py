@@ -187,7 +187,7 @@ def _hover_force(
 def slow_noise(shape: tuple[int, ...], rate: float, rng: np.random.Generator) -> FloatArray:
     """White noise at *rate* [Hz] through a first-order low pass, (n_sample, ...): how the rotor wanders."""
     b, a = scipy.signal.butter(1, HOVER_CORNER, fs=rate)
-    return np.asarray(scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0))
+    return scipy.signal.lfilter(b, a, rng.normal(0.0, 1.0, shape), axis=0)
 
 
 def _log(outputs: FloatArray, rate: float, n_sample: int) -> FloatArray:
@@ -367,13 +367,14 @@ def two_directions(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
     column = "xy".index(dof)
     force = design_multisine((1.0, 250.0), 1.0, rig.radial_force)
     omega = line_frequencies(force)
-    receptance = np.linalg.inv(mechanics.coupled_stiffness(rig, omega))[:, :, column]
+    stiffness, damping = mechanics.COUPLED_STIFFNESS, mechanics.COUPLED_DAMPING
+    dynamic = linear.dynamic_stiffness(rig.rotor_mass * np.eye(2), stiffness, damping, omega)
+    receptance = np.linalg.inv(dynamic)[:, :, column]
     timing = Timing(2000.0, 1.0, 1)
     samples = [_noisy(force.samples(timing.sample_rate, timing.periods), rig.noise.force, rng)]
     for row in range(2):
         clean = linear.steady_state(force, receptance[:, row], timing.n_sample, timing.periods)
         samples.append(_noisy(clean, rig.noise.displacement, rng))
-    stiffness, damping = mechanics.COUPLED_STIFFNESS, mechanics.COUPLED_DAMPING
     support = virtual_rigs.coefficients_by_name("xy", k=stiffness, c=damping)
     truth = {"mass": rig.rotor_mass, **support}
     return _run(name, truth, _channels(dof, "xy"), samples, timing.sample_rate)

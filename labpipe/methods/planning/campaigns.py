@@ -95,7 +95,7 @@ def interleave(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tu
 
 def _pairs(lines: IntArray, power: FloatArray) -> tuple[FloatArray, IntArray]:
     first = np.arange(0, lines.size - 1, 2)
-    return np.asarray(np.add.reduceat(power, first, axis=0)), lines[: 2 * first.size]
+    return np.add.reduceat(power, first, axis=0), lines[: 2 * first.size]
 
 
 def _keep(
@@ -122,7 +122,7 @@ def schroeder_phases_of(power: FloatArray) -> FloatArray:
     """Schroeder's phases [rad] of lines with *power* (n_line,) [any unit]: phi_n = -2 pi sum_{l<n} (n - l)
     p_l, p summing to 1. Equation (spec-schroeder-power).
     """
-    return np.asarray(-2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]])))
+    return -2 * np.pi * np.cumsum(np.concatenate([[0.0], np.cumsum(power / power.sum())[:-1]]))
 
 
 def least_peak_phases(
@@ -161,7 +161,7 @@ def least_peak_phases(
             peak = problem.peak(unknowns)
             if peak < least:
                 best, least = unknowns, peak
-    return np.asarray(np.mod(problem.phases(best), 2 * np.pi))
+    return np.mod(problem.phases(best), 2 * np.pi)
 
 
 class _Problem:
@@ -179,7 +179,7 @@ class _Problem:
         return np.concatenate([first, first + others[self.group]], axis=1)
 
     def amplitudes(self, unknowns: FloatArray) -> ComplexArray:
-        return np.asarray(self.gains * np.exp(1j * self.phases(unknowns))[:, :, None])
+        return self.gains * np.exp(1j * self.phases(unknowns))[:, :, None]
 
     def peak(self, unknowns: FloatArray) -> float:
         return float(peaks(self.lines, self.amplitudes(unknowns).sum(axis=1)).max())
@@ -264,7 +264,7 @@ class Rig:
 
     def omega(self, test: Multisines) -> FloatArray:
         """Angular frequencies (n_line,) [rad/s] of a test's lines."""
-        return np.asarray(2 * np.pi * self.spacing * test.lines)
+        return 2 * np.pi * self.spacing * test.lines
 
     def motion(self, test: Multisines) -> ComplexArray:
         """Steady displacements (n_line, n_dof) [m] of a test."""
@@ -284,7 +284,7 @@ class Rig:
         """Information per second, (n_coefficient, n_coefficient) [1/s], of relative coefficients."""
         forces = test.forces @ self.directions
         sensitivity = sensitivities(self.model, self.noise, self.omega(test), forces)
-        return np.asarray(vector_information(sensitivity, forces).sum(axis=0))
+        return vector_information(sensitivity, forces).sum(axis=0)
 
 
 def running_shakers(test: Multisines) -> BoolArray:
@@ -410,7 +410,7 @@ def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | No
 def crest_factors(test: Multisines) -> FloatArray:
     """Peak over rms (n_running,) [1] of the force of every shaker that runs."""
     forces = test.forces[:, running_shakers(test)]
-    return np.asarray(peaks(test.lines, forces) / np.sqrt(np.sum(np.abs(forces) ** 2, axis=0) / 2))
+    return peaks(test.lines, forces) / np.sqrt(np.sum(np.abs(forces) ** 2, axis=0) / 2)
 
 
 @dataclass(frozen=True)

@@ -24,15 +24,11 @@ ACTIVE = 2e-3
 class Certificate:
     """Efficiency of a design, the least it can be against the best of all: 1 where none is better.
 
-    weights (n_coefficient, n_coefficient) [1]: W; greatest: max d over the candidates, at candidate number
-    *candidate*.
+    weights (n_coefficient, n_coefficient) [1]: W.
     """
 
-    criterion: str
     efficiency: float
     weights: FloatArray
-    greatest: float
-    candidate: int
 
 
 def variances(information: FloatArray, wanted: FloatArray | None = None) -> FloatArray:
@@ -44,7 +40,7 @@ def variances(information: FloatArray, wanted: FloatArray | None = None) -> Floa
 
 
 def _along(inverse: FloatArray, wanted: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("wi,ij,wj->w", wanted, inverse, wanted))
+    return np.einsum("wi,ij,wj->w", wanted, inverse, wanted)
 
 
 def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray) -> FloatArray:
@@ -52,7 +48,7 @@ def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray)
     combinations R (n_wanted, n) [1]. Equation (plan-gradient).
     """
     rows = wanted @ inverse
-    return np.asarray(rows.T @ (multipliers[:, None] * rows))
+    return rows.T @ (multipliers[:, None] * rows)
 
 
 def certificate(
@@ -68,14 +64,13 @@ def certificate(
     v = _along(inverse, wanted)
     q = _multipliers(inverse, information, wanted) if criterion == MINIMAX else np.ones(v.size)
     weights = inverse if criterion == D else weights_of(inverse, q, wanted)
-    scores = _scores(weights, information)
-    greatest, total = float(scores.max()), float(q @ v)
+    greatest, total = float(_scores(weights, information).max()), float(q @ v)
     efficiency = {
         D: len(design) / greatest,
         A: total**2 / greatest / total,
         MINIMAX: total**2 / (greatest * float(q.sum())) / float(v.max()),
     }
-    return Certificate(criterion, efficiency[criterion], weights, greatest, int(scores.argmax()))
+    return Certificate(efficiency[criterion], weights)
 
 
 def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArray) -> FloatArray:
@@ -95,7 +90,7 @@ def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArra
 
 
 def _scores(weights: FloatArray, information: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("ij,aij->a", weights, information))
+    return np.einsum("ij,aij->a", weights, information)
 
 
 START_STEPS = 300
@@ -162,7 +157,7 @@ def _check_regular(information: FloatArray) -> None:
 
 
 def _sum(shares: FloatArray, information: FloatArray) -> FloatArray:
-    return np.asarray(np.tensordot(shares, information, 1))
+    return np.tensordot(shares, information, 1)
 
 
 def _multiply(criterion: str, information: FloatArray, wanted: FloatArray) -> FloatArray:
@@ -212,7 +207,7 @@ def _least_smooth(
 
     sums = {"type": "eq", "fun": lambda shares: shares.sum() - 1, "jac": np.ones_like}
     bounds = [(0, 1)] * begin.size
-    return np.asarray(scipy.optimize.minimize(value, begin, bounds=bounds, constraints=[sums], **_BY_SQP).x)
+    return scipy.optimize.minimize(value, begin, bounds=bounds, constraints=[sums], **_BY_SQP).x
 
 
 _BY_SQP: dict[str, Any] = {"jac": True, "method": "SLSQP", "options": {"maxiter": 200, "ftol": 1e-12}}
@@ -224,12 +219,12 @@ def _least_largest(
     """Shares and the level t of least t with v_i <= t, in logarithms: ln v_i <= t."""
 
     def logarithms(unknowns: FloatArray) -> FloatArray:
-        return np.asarray(np.log(variances(_sum(np.maximum(unknowns[:-1], 0), information), wanted)))
+        return np.log(variances(_sum(np.maximum(unknowns[:-1], 0), information), wanted))
 
     def slopes(unknowns: FloatArray) -> FloatArray:
         rows = wanted @ np.linalg.inv(_sum(np.maximum(unknowns[:-1], 0), information))
         gains = np.einsum("ij,ajk,ik->ia", rows, information, rows)
-        return np.asarray(-gains / np.einsum("wi,wi->w", rows, wanted)[:, None])
+        return -gains / np.einsum("wi,wi->w", rows, wanted)[:, None]
 
     unit, begun = np.append(np.zeros(begin.size), 1.0), np.append(begin, 0.0)
     level = float(logarithms(begun).max())
@@ -243,4 +238,4 @@ def _least_largest(
     solved = scipy.optimize.minimize(
         lambda unknowns: (unknowns[-1], unit), begun, bounds=bounds, constraints=[below, sums], **_BY_SQP
     )
-    return np.asarray(solved.x[:-1])
+    return solved.x[:-1]

@@ -58,7 +58,7 @@ class PlannedModel:
         sizes = np.abs(self.expected)
         letters = np.array([name[0] for name in self.names])
         largest = np.array([sizes[letters == letter].max() for letter in letters])
-        return np.asarray(np.maximum(sizes, LEAST_SHARE * np.where(largest > 0, largest, 1.0)))
+        return np.maximum(sizes, LEAST_SHARE * np.where(largest > 0, largest, 1.0))
 
     def elements_at(self, omega: FloatArray) -> ComplexArray:
         """E_i(jw) (n_line, n_coefficient, n_dof, n_dof) [N/m per coefficient] at omega (n_line,) [rad/s]."""
@@ -74,7 +74,7 @@ class PlannedModel:
         floating rig held still.
         """
         inertia = omega[:, None, None] ** 2 * self.stator_mass * np.eye(self.n_dof)
-        return np.asarray(np.linalg.inv(self.stiffness(omega) - inertia))
+        return np.linalg.inv(self.stiffness(omega) - inertia)
 
     @property
     def free_motion(self) -> FloatArray | None:
@@ -206,7 +206,7 @@ def sensitivities(
     residual's noise. Equation (plan-sensitivity).
     """
     changed = model.elements_at(omega) @ model.receptance(omega)[:, None] * model.scales[:, None, None]
-    return np.asarray(residual_whitener(model, noise, omega, forces)[:, None] @ changed)
+    return residual_whitener(model, noise, omega, forces)[:, None] @ changed
 
 
 def residual_whitener(
@@ -223,7 +223,7 @@ def residual_whitener(
     moved = noise.displacement**2 * stiffness @ stiffness.conj().swapaxes(-1, -2)
     plain = noise.force**2 * recorded + (model.stator_mass * noise.acceleration) ** 2 * unit
     density = plain + moved
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(density)))
+    return np.linalg.inv(np.linalg.cholesky(density))
 
 
 def vector_information(sensitivity: ComplexArray, forces: ComplexArray) -> FloatArray:
@@ -234,7 +234,7 @@ def vector_information(sensitivity: ComplexArray, forces: ComplexArray) -> Float
     (plan-vector).
     """
     change = np.einsum("lnij,lj->lni", sensitivity, forces)
-    return np.asarray(np.einsum("lni,lmi->lnm", change.conj(), change).real)
+    return np.einsum("lni,lmi->lnm", change.conj(), change).real
 
 
 def relative_errors(information: FloatArray) -> FloatArray:
@@ -251,4 +251,4 @@ def relative_errors(information: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(scaled)
     if values[0] < 1e-13 * values[-1]:
         return np.full(diagonal.size, np.inf)
-    return np.asarray(np.sqrt(np.sum(vectors**2 / values, axis=1)) / root)
+    return np.sqrt(np.sum(vectors**2 / values, axis=1)) / root

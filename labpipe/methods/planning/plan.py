@@ -95,7 +95,7 @@ def period_signals(test: campaigns.Multisines, sample_rate: float, period: float
     running = test.forces[:, campaigns.running_shakers(test)]
     spectrum = np.zeros((n_sample // 2 + 1, running.shape[1]), complex)
     spectrum[test.lines] = running * (n_sample / 2)
-    return np.asarray(np.fft.irfft(spectrum, n_sample, axis=0))
+    return np.fft.irfft(spectrum, n_sample, axis=0)
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     if np.count_nonzero(kept) < 2:
         what = f"{np.count_nonzero(kept)} lines are left in the band"
         raise SettingError("band", what, "widen `band` or lengthen `period`")
-    return np.asarray(lines[kept])
+    return lines[kept]
 
 
 def weighting_factor(periods: int, of_spectra: bool) -> float:
@@ -293,7 +293,9 @@ def _direction(name: str) -> tuple[float, float]:
 
 
 def _check_identifiable(rig: campaigns.Rig, lines: IntArray) -> None:
-    excitation = Excitation.of_directions(rig.spacing * lines, rig.directions)
+    # Each direction on every line, one by one.
+    frequency = np.repeat(rig.spacing * lines, len(rig.directions))
+    excitation = Excitation(frequency, np.tile(rig.directions, (lines.size, 1)))
     identified = identifiability(rig.model, rig.noise, excitation)
     if not identified.full:
         what = f"with forces along {', '.join(rig.shakers)} {identified.words}"

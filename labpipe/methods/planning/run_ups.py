@@ -41,7 +41,7 @@ from labpipe.methods.run_ups.rotor import (
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -109,9 +109,7 @@ class RunUpPlanSettings(Settings):
     )
     displacement_limit: float | None = quantity("largest at a plane, 0-to-peak; default: none", "m", None)
     journal_limit: float | None = quantity("largest of the journal, 0-to-peak; default: none", "m", None)
-    noise: ReadingSettings = setting(
-        "section", "of a reading", section=ReadingSettings, default=ReadingSettings()
-    )
+    noise: ReadingSettings = section("of a reading", ReadingSettings, ReadingSettings())
     expected: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "factors on the rotor file's film, exponents of the viscosity; default: the rotor file",
@@ -198,7 +196,7 @@ class RunUpPlanSettings(Settings):
     def omega(self) -> FloatArray:
         """All speeds (n_speed,) [rad/s]."""
         low, high = self.speeds
-        return np.asarray(2 * np.pi * np.linspace(low, high, max(round((high - low) / self.step), 0) + 1))
+        return 2 * np.pi * np.linspace(low, high, max(round((high - low) / self.step), 0) + 1)
 
     def values(self, earlier: Mapping[str, float]) -> FloatArray:
         """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] by default."""

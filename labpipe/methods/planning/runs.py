@@ -41,7 +41,7 @@ class RunChoices:
 
     def of(self, counts: FloatArray | IntArray) -> FloatArray:
         """Information (n, n) [1] of numbers of runs (n_run,) [1], with what is known before."""
-        return np.asarray(self.prior + np.tensordot(counts, self.information, 1))
+        return self.prior + np.tensordot(counts, self.information, 1)
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def undetermined(choices: RunChoices) -> FloatArray:
     if unseen.shape[1]:
         pivots = linalg.qr(unseen.T, mode="r", pivoting=True)[1][: unseen.shape[1]]
         unseen = unseen @ np.linalg.inv(unseen[pivots])
-    return np.asarray(unseen / np.linalg.norm(unseen, axis=0))
+    return unseen / np.linalg.norm(unseen, axis=0)
 
 
 def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
@@ -221,7 +221,7 @@ def _errors(information: FloatArray, wanted: FloatArray) -> FloatArray:
     poor = values <= SINGULAR * values[-1]
     left_open = np.any(parts[:, poor] > 1e-6 * np.linalg.norm(parts, axis=1, keepdims=True), axis=1)
     errors = np.sqrt(np.sum(parts[:, ~poor] ** 2 / values[~poor], axis=1))
-    return np.asarray(np.where(left_open, np.inf, errors))
+    return np.where(left_open, np.inf, errors)
 
 
 def time_for_goals(choices: RunChoices, counts: IntArray, wanted: FloatArray) -> float:

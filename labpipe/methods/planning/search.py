@@ -104,7 +104,6 @@ class Source:
     """
 
     criterion: str
-    displacement_share: float
     scheme: str
     certificate: Certificate | None
     power: FloatArray
@@ -205,13 +204,13 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
                 if ONE_BY_ONE in schemes:
                     design = _design(choices, wanted, criterion, floor)
                     source = design.certificate, _power(choices, design, lines), floor
-                    yield Source(criterion, share, ONE_BY_ONE, *source)
+                    yield Source(criterion, ONE_BY_ONE, *source)
                 if at_once:
                     design = _balance(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
-                    yield from (Source(criterion, share, name, *source) for name in at_once)
+                    yield from (Source(criterion, name, *source) for name in at_once)
     for scheme in schemes:
-        yield Source("flat", 0.0, scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
+        yield Source("flat", scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
 
 
 def _power(pool: Candidates, design: Design, lines: IntArray) -> FloatArray:

@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, quantity, setting
+from labpipe.records.settings import Settings, Uncertainties, quantity, section, setting
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -97,14 +97,28 @@ class TheorySettings(Settings):
 
 
 @dataclass(frozen=True)
-class PlanSettings(Settings):
+class SignalSettings(Settings):
+    """What plans of shakers' signals have in common: their period and lines, and the noise of the sensors."""
+
+    _: KW_ONLY
+    period: float = quantity("length of one period; lines lie 1 / period apart", "s")
+    sample_rate: float = quantity("of signals and recordings", "Hz")
+    noise: NoiseSettings | None = section("noise of the sensors per sample", NoiseSettings, None)
+    noise_density: DensitySettings | None = section("or its density", DensitySettings, None)
+    criterion: str = criterion_setting()
+    exclude: tuple[tuple[float, float], ...] = setting(
+        "bands", "frequencies that are not excited", unit="Hz", default=()
+    )
+    mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
+
+
+@dataclass(frozen=True)
+class PlanSettings(SignalSettings):
     """What is to be determined, with which rig, within which limits."""
 
     model: str = setting("choice", "what will be identified", choices=tuple(MODELS))
     _: KW_ONLY
     band: tuple[float, float] = setting("band", "frequencies that may be excited", unit="Hz")
-    period: float = quantity("length of one period; lines lie 1 / period apart", "s")
-    sample_rate: float = quantity("of signals and recordings", "Hz")
     duration: float = quantity("of all measured periods together", "s")
     force_limit: float = quantity("largest force of a shaker, 0-to-peak, also between samples", "N")
     displacement_limit: float | None = quantity(
@@ -119,11 +133,10 @@ class PlanSettings(Settings):
     combine_earlier: bool = setting(
         "flag", "the earlier result counts: it and the new test are combined", default=False
     )
-    theory: TheorySettings | None = setting(
-        "section",
+    theory: TheorySettings | None = section(
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
-        section=TheorySettings,
-        default=None,
+        TheorySettings,
+        None,
     )
     mass: float | None = quantity(
         "known mass that moves, e.g. 0.79 kg +- 5 g; of a floating stator", "kg", None
@@ -135,19 +148,12 @@ class PlanSettings(Settings):
         file_kind="rig",
         into="sensors",
     )
-    noise: NoiseSettings | None = setting(
-        "section", "noise of the sensors per sample", section=NoiseSettings, default=None
-    )
-    noise_density: DensitySettings | None = setting(
-        "section", "or its density", section=DensitySettings, default=None
-    )
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "relative standard errors by noise, or expanded: {k: 2 %, c.expanded: 3 %}; default: all alike",
         unit="1",
         default=(),
     )
-    criterion: str = criterion_setting()
     floor: float = quantity("share of the power on all lines alike, for a test of the model", "1", 0.2)
     shakers: tuple[str, ...] = setting(
         "names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=()
@@ -155,13 +161,9 @@ class PlanSettings(Settings):
     scheme: str = setting(
         "choice", "how two shakers run; default: what tells most", choices=(BEST, *SCHEMES), default=BEST
     )
-    exclude: tuple[tuple[float, float], ...] = setting(
-        "bands", "frequencies that are not excited", unit="Hz", default=()
-    )
     speed: float | None = quantity(
         "speed of the shaft, whose 1x line and neighbours are left out", "Hz", None
     )
-    mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
     skip: int | None = setting(
         "integer",
         "transient periods before the measured ones, in every test; default: until motion has died away",

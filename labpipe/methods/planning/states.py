@@ -26,18 +26,16 @@ from labpipe.methods.planning.report import run_names, run_sentences
 from labpipe.methods.planning.runs import Answered, Condition, Quantity, RunQuestion, plan_runs
 from labpipe.methods.planning.search import BOTH_LIMITS, flat
 from labpipe.methods.planning.settings import (
-    DensitySettings,
-    NoiseSettings,
     PlanKind,
     PlanSettings,
+    SignalSettings,
     check_distinct,
     check_relative,
-    criterion_setting,
 )
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import quantity, setting, settings_of
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
@@ -46,7 +44,7 @@ COEFFICIENTS = tuple(f"{letter}_{row}{column}" for letter in "kc" for row in AXE
 
 
 @dataclass(frozen=True)
-class StatePlanSettings(Settings):
+class StatePlanSettings(SignalSettings):
     """Which loads and speeds can be run, how a state is tested, and what the tests are to tell."""
 
     model: str = setting(
@@ -62,8 +60,6 @@ class StatePlanSettings(Settings):
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
     mass: float = quantity("mass of the stator", "kg")
     band: tuple[float, float] = setting("band", "frequencies that are excited, all alike", unit="Hz")
-    period: float = quantity("length of one period; lines lie 1 / period apart", "s")
-    sample_rate: float = quantity("of signals and recordings", "Hz")
     run: float = quantity("measured time of one run in one state", "s")
     duration: float = quantity("of all runs with what lies between them", "s")
     force_limit: float = quantity("largest force of a shaker, 0-to-peak", "N")
@@ -71,12 +67,6 @@ class StatePlanSettings(Settings):
         "largest displacement in x or y, 0-to-peak; default: none", "m", None
     )
     changeover: float = quantity("time between runs", "s", 0.0)
-    noise: NoiseSettings | None = setting(
-        "section", "noise of the sensors per sample", section=NoiseSettings, default=None
-    )
-    noise_density: DensitySettings | None = setting(
-        "section", "or its density", section=DensitySettings, default=None
-    )
     estimate: tuple[str, ...] = setting(
         "names",
         "numbers of the bearing file that all states have in common; default: none, every state by itself",
@@ -88,14 +78,9 @@ class StatePlanSettings(Settings):
         unit="1",
         default=(),
     )
-    criterion: str = criterion_setting()
     scheme: str = setting(
         "choice", "how both shakers run at once", choices=(INTERLEAVED, TOGETHER), default=INTERLEAVED
     )
-    exclude: tuple[tuple[float, float], ...] = setting(
-        "bands", "frequencies that are not excited", unit="Hz", default=()
-    )
-    mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
     skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
 
     def __post_init__(self) -> None:

@@ -45,11 +45,6 @@ class Excitation:
     frequency: FloatArray
     forces: ComplexArray
 
-    @classmethod
-    def of_directions(cls, frequency: FloatArray, directions: ComplexArray) -> Excitation:
-        """Each of *directions* (n_direction, n_dof) [1] on every *frequency* (n_line,) [Hz], one by one."""
-        return cls(np.repeat(frequency, len(directions)), np.tile(directions, (frequency.size, 1)))
-
 
 @dataclass(frozen=True)
 class Identifiability:
@@ -143,7 +138,7 @@ class Earlier:
     def covariance(self, without: Sequence[str] = ()) -> FloatArray:
         """(n, n) [squared SI units] of noise and systematic errors, those *without* left out."""
         rows = [row for source, row in zip(self.sources, self.changes, strict=True) if source not in without]
-        return np.asarray(self.noise + sum((np.outer(row, row) for row in rows), np.zeros_like(self.noise)))
+        return self.noise + sum((np.outer(row, row) for row in rows), np.zeros_like(self.noise))
 
     def places(self, model: PlannedModel) -> list[tuple[int, int]]:
         """Numbers of the coefficients of a model with theirs here."""
@@ -237,7 +232,7 @@ def _rate(rig: campaigns.Rig, truth: campaigns.Rig, campaign: campaigns.Campaign
     """What a campaign tells per second on the rig as it is, (n, n) [1/s], relative to the expected scales."""
     ratio = rig.model.scales / truth.model.scales
     rate = campaigns.with_shares(truth, campaign.tests, campaign.shares).rate
-    return np.asarray(rate * np.outer(ratio, ratio))
+    return rate * np.outer(ratio, ratio)
 
 
 def spread_notes(drawn: Spread, predicted: FloatArray, gain: float, with_goals: bool) -> tuple[str, ...]:
@@ -298,12 +293,12 @@ def rehearse(
 def _amplitudes(rig: campaigns.Rig, test: campaigns.Multisines, channel: Channel) -> ComplexArray:
     if channel.quantity == "force":
         shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
-        return np.asarray(test.forces[:, shaker])
+        return test.forces[:, shaker]
     along = rig.motion(test) @ _direction(channel, rig.model.n_dof)
     if channel.quantity == "displacement":
         return np.asarray(along)
     if channel.quantity == "acceleration":
-        return np.asarray(-(rig.omega(test) ** 2) * along)
+        return -(rig.omega(test) ** 2) * along
     what = f"the plan states no noise of {channel.name}, a {channel.quantity}"
     raise SettingError("rig", what, "displacement or acceleration")
 
@@ -363,7 +358,7 @@ def limits(goals: Goals, budget: Budget | None, scales: FloatArray) -> FloatArra
     allowed = goals.expanded / factors(budget, len(scales))
     with np.errstate(invalid="ignore"):
         left = np.where(np.isfinite(allowed), np.sqrt(np.maximum(allowed**2 - systematic**2, 0.0)), np.inf)
-    return np.asarray(np.minimum(goals.random, left))
+    return np.minimum(goals.random, left)
 
 
 def factors(budget: Budget | None, n: int) -> FloatArray:
@@ -374,7 +369,7 @@ def factors(budget: Budget | None, n: int) -> FloatArray:
 
 def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
     """What a design aims at (n_coefficient,) [1]: the limits, or a tenth of a goal that none meets."""
-    return np.asarray(np.where(allowed > 0, allowed, goals.expanded / 10))
+    return np.where(allowed > 0, allowed, goals.expanded / 10)
 
 
 def beside_earlier(
@@ -433,7 +428,7 @@ def lasting_notes(coefficients: Sequence[PlannedCoefficient]) -> Iterator[str]:
 
 def unreachable(goals: Goals, allowed: FloatArray) -> BoolArray:
     """Coefficients (n_coefficient,) whose goal no time meets; *allowed* (n_coefficient,) [1]: `limits`."""
-    return np.asarray(np.isfinite(goals.expanded) & (allowed <= 0))
+    return np.isfinite(goals.expanded) & (allowed <= 0)
 
 
 def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: FloatArray) -> Iterator[str]:

@@ -33,13 +33,12 @@ from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.wear.model import BETA_STEP, PLACES
-from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS
+from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
-NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class WearPlanSettings(Settings):
     model: str = setting("choice", "what will be identified: depth and angle of wear", choices=(WORN,))
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
     _: KW_ONLY
-    expected: Wear = setting("section", "depth and angle that are expected", section=Wear)
+    expected: Wear = section("depth and angle that are expected", Wear)
     speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
     duration: float = quantity("of all tests together", "s")
     sample_rate: float = quantity("of the recordings", "Hz")
@@ -91,25 +90,13 @@ class WearPlanSettings(Settings):
     run: float = quantity("length of one run, under a force in y and again in z", "s", 60.0)
     changeover: float = quantity("time between tests", "s", 0.0)
     block: float = quantity("block length of the responses", "s", 4.0)
-    noise: WearNoise = setting(
-        "section", "of the sensors, per sample", section=WearNoise, default=WearNoise()
-    )
-    viscosity: Uncertain | None = setting(
-        "uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None
-    )
-    clearance: Uncertain | None = setting(
-        "uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None
-    )
-    cavitation_pressure: Uncertain | None = setting(
-        "uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar", unit="Pa", default=None
-    )
-    beta: Uncertain | None = setting(
-        "uncertain", "damping of the shaft, estimated along", unit="s", default=None
-    )
+    noise: WearNoise = section("of the sensors, per sample", WearNoise, WearNoise())
+    viscosity: Uncertain | None = nuisance("estimated along, e.g. 0.104 Pa.s +- 3 %", "Pa.s")
+    clearance: Uncertain | None = nuisance("of all bearings, estimated along, e.g. 90 um +- 2 %", "m")
+    cavitation_pressure: Uncertain | None = nuisance("estimated along, e.g. -0.1 bar +- 0.1 bar", "Pa")
+    beta: Uncertain | None = nuisance("damping of the shaft, estimated along", "s")
     angle_limit: float = quantity("largest angle there could be, either way", "rad", np.pi / 9)
-    goal: WearGoal = setting(
-        "section", "{depth: 0.2 um, angle: 1 deg}; default: both alike", section=WearGoal, default=WearGoal()
-    )
+    goal: WearGoal = section("{depth: 0.2 um, angle: 1 deg}; default: both alike", WearGoal, WearGoal())
     criterion: str = criterion_setting()
     rig: RotorRig | None = None
 
@@ -247,7 +234,7 @@ def information(
     chosen = list(PLACES[terms])
     weight[:, chosen] = (2 * testing.seconds * testing.spacing * density / noise).reshape(-1, 4)[:, chosen]
     flat = slopes.reshape(len(slopes), lines.size, 4)
-    return np.asarray(np.einsum("ilt,lt,jlt->ij", flat.conj(), weight, flat).real)
+    return np.einsum("ilt,lt,jlt->ij", flat.conj(), weight, flat).real
 
 
 RIG = "rig.yaml"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,11 @@ DEPTH, ANGLE = "wear_depth", "wear_angle"
 # Range of a nuisance parameter about its prior mean, in prior standard deviations.
 REACH = 4.0
 UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
+
+
+def nuisance(words: str, unit: str) -> Any:
+    """A number [*unit*] that may be estimated together with the wear."""
+    return setting("uncertain", words, unit=unit, default=None)
 
 
 @dataclass(frozen=True)
@@ -90,18 +96,12 @@ class WearSettings(Settings):
         unit="rad",
         default=tuple(np.deg2rad([-15.0, -7.5, 0.0, 7.5, 15.0]).tolist()),
     )
-    viscosity: Uncertain | None = setting(
-        "uncertain", "estimated along, e.g. 0.104 Pa.s +- 3 %", unit="Pa.s", default=None
+    viscosity: Uncertain | None = nuisance("estimated along, e.g. 0.104 Pa.s +- 3 %", "Pa.s")
+    clearance: Uncertain | None = nuisance("of all bearings, estimated along, e.g. 90 um +- 2 %", "m")
+    cavitation_pressure: Uncertain | None = nuisance(
+        "estimated along, e.g. -0.1 bar +- 0.1 bar; zero or negative", "Pa"
     )
-    clearance: Uncertain | None = setting(
-        "uncertain", "of all bearings, estimated along, e.g. 90 um +- 2 %", unit="m", default=None
-    )
-    cavitation_pressure: Uncertain | None = setting(
-        "uncertain", "estimated along, e.g. -0.1 bar +- 0.1 bar; zero or negative", unit="Pa", default=None
-    )
-    beta: Uncertain | None = setting(
-        "uncertain", "damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", unit="s", default=None
-    )
+    beta: Uncertain | None = nuisance("damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", "s")
     prior: str = setting(
         "text", "an earlier fit of this pipeline (a tuning) whose posterior is the prior", default=""
     )

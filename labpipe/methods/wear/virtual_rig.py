@@ -17,7 +17,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
@@ -61,7 +61,7 @@ class VirtualJournalRig(Settings):
     sample_rate: float = quantity("sampling rate", "Hz", 256.0)
     duration: float = quantity("length of one run", "s", 60.0)
     unbalance: float = quantity("mass times eccentricity at the force's node", "kg.m", 1e-5)
-    noise: JournalNoise = setting("section", "measuring noise", section=JournalNoise, default=JournalNoise())
+    noise: JournalNoise = section("measuring noise", JournalNoise, JournalNoise())
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
@@ -107,7 +107,7 @@ class VirtualJournalRig(Settings):
     def excited(self) -> FloatArray:
         """Lines (n_line,) [Hz] at which the shaker acts."""
         lines = fft.rfftfreq(self.n_sample, 1 / self.sample_rate)[1:]
-        return np.asarray(lines[(lines <= self.bandwidth) & (lines >= self.lowest)])
+        return lines[(lines <= self.bandwidth) & (lines >= self.lowest)]
 
     @property
     def mesh(self) -> FilmMesh:

@@ -29,7 +29,7 @@ MENDES = JournalFile(
 
 @pytest.fixture(scope="module")
 def film() -> PressureField:
-    found = journal_coefficients([MENDES])[0].film
+    found = journal_coefficients(MENDES).film
     assert found is not None
     return found
 

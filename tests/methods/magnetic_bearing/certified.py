@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
-from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
+from labpipe.methods.magnetic_bearing.sampled_loop import SampledLoop, Suspended, sampled_loop, straight
 from labpipe.records.response import FrequencyResponse, Port
 
 RATE = 20e3
@@ -24,14 +24,21 @@ UNKNOWNS = ("negative_stiffness", "force_per_current", "bandwidth", "delay")
 MIXED = np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0], [0.3, 0.1, 0.9, 0.0], [0.2, 0.0, 0.3, 0.8]])
 
 
+def loop_response(loop: SampledLoop, omega: np.ndarray) -> np.ndarray:
+    """z over force (as `straight` feeds it), noise and injection at omega [rad/s], (n_line, 5, 3)."""
+    z = np.exp(1j * omega / loop.rate)[:, None, None]
+    whole = loop.c @ np.linalg.inv(z * np.eye(loop.a.shape[0]) - loop.a) @ loop.b + loop.d
+    force = (whole[:, :, :1] + z * whole[:, :, 1:2]) / straight(omega, loop.rate)[:, None, None]
+    return np.concatenate([force, whole[:, :, 2:]], axis=2)
+
+
 def clean(file: MagneticFile = FILE) -> np.ndarray:
     """before, after, displacement, current over the injection (n_line, 4), by the matrices that run in
     time.
     """
     plant = file.levitated()
-    signals = sampled_loop(Suspended(plant.loop, plant.negative_stiffness, plant.mass), RATE).response(
-        2 * np.pi * FREQUENCY
-    )
+    loop = sampled_loop(Suspended(plant.loop, plant.negative_stiffness, plant.mass), RATE)
+    signals = loop_response(loop, 2 * np.pi * FREQUENCY)
     return signals[:, [1, 2, 0, 4], 2]
 
 

@@ -35,6 +35,7 @@ from labpipe.methods.magnetic_bearing.transfer import (
     of_polynomials,
 )
 from labpipe.project.bearing_file import open_bearing
+from tests.methods.magnetic_bearing.certified import loop_response
 
 OMEGA = 2 * np.pi * np.array([1.0, 30.0, 200.0, 700.0, 3000.0])
 LOOP = ControlLoop()
@@ -120,7 +121,9 @@ def test_the_pid_as_a_polynomial_is_the_pid() -> None:
 
 def test_the_sampled_blocks_are_the_sampled_pid() -> None:
     """Bilinear transform of the whole against that of its terms: the same function of z."""
-    responses = [sampled_loop(Suspended(loop, 33106.0, 0.065)).response(OMEGA) for loop in (BLOCKS, LOOP)]
+    responses = [
+        loop_response(sampled_loop(Suspended(loop, 33106.0, 0.065)), OMEGA) for loop in (BLOCKS, LOOP)
+    ]
     np.testing.assert_allclose(responses[0], responses[1], rtol=1e-7)
 
 

@@ -12,6 +12,7 @@ from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
 from labpipe.methods.magnetic_bearing.stability import SIGNALS, open_loop, sensitivity, unstable_poles
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock
+from tests.methods.magnetic_bearing.certified import loop_response
 
 K_P, K_D, PULL = 9.0, 2.0, 4.0
 
@@ -83,7 +84,7 @@ def test_margins_of_a_levitated_mass_are_where_it_becomes_unstable() -> None:
 def test_the_open_loop_is_that_of_the_matrices() -> None:
     """Signals of the closed sampled loop: C, X and I apart against the step matrices that run in time."""
     omega = 2 * np.pi * np.array([10.0, 100.0, 400.0, 3000.0])
-    matrices = sampled_loop(Suspended(PLANT.loop, 33106.0, 0.065), 20e3).response(omega)[
+    matrices = loop_response(sampled_loop(Suspended(PLANT.loop, 33106.0, 0.065), 20e3), omega)[
         :, [1, 2, 3, 0, 4], 2
     ]
     signals = open_loop(PLANT, omega, 20e3).signals("input")

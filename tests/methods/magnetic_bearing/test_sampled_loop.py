@@ -13,6 +13,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop, sampled_matrix, straight
 from labpipe.methods.magnetic_bearing.stability import sensitivity
+from tests.methods.magnetic_bearing.certified import loop_response
 
 LOOP = ControlLoop()
 PULL = inferred_negative_stiffness(LOOP, 1694.0)
@@ -36,7 +37,7 @@ def test_stiffness_and_damping_are_those_of_the_frequency_domain(loop: ControlLo
 
     The bilinear PID departs by (w T)^2 / 12 = 5e-4 at 250 Hz.
     """
-    motion = 1 / sampled_loop(replace(RIG, loop=loop)).response(OMEGA)[:, 0, 0]
+    motion = 1 / loop_response(sampled_loop(replace(RIG, loop=loop)), OMEGA)[:, 0, 0]
     if loop.sensor_bandwidth is not None:
         motion /= 1 + 1j * OMEGA * loop.corners[1]  # the reading lags behind the motion
     bearing = (motion - 134.5e3 - 3.682j * OMEGA + 0.92 * OMEGA**2) / 2
@@ -45,7 +46,7 @@ def test_stiffness_and_damping_are_those_of_the_frequency_domain(loop: ControlLo
 
 def test_the_sensitivity_is_that_of_the_frequency_domain() -> None:
     omega = 2 * np.pi * np.array([10.0, 50.0, 100.0, 200.0, 500.0])
-    _, before, after = sampled_loop(ROTOR).response(omega)[:, :3, 2].T
+    _, before, after = loop_response(sampled_loop(ROTOR), omega)[:, :3, 2].T
     np.testing.assert_allclose(after, sensitivity(Suspended(LOOP, PULL, 0.065), omega), rtol=1e-3)
     np.testing.assert_allclose(after - before, 1.0, rtol=1e-9)
 

@@ -24,7 +24,9 @@ SYMMETRIC = {**ROTOR, "k_yy": 180e3, "c_yy": 120.0, "k_xy": 0.0, "k_yx": 0.0, "c
 
 def _found(model: PlannedModel, lines: list[float] | np.ndarray, directions: np.ndarray) -> Identifiability:
     noise = {"sdof": pedestal, "rotor-2dof": rig_rotor, "dynamic-stiffness": seal}[model.kind]()[1]
-    return identifiability(model, noise, Excitation.of_directions(np.asarray(lines, float), directions))
+    frequency = np.repeat(np.asarray(lines, float), len(directions))
+    excitation = Excitation(frequency, np.tile(directions, (len(lines), 1)))
+    return identifiability(model, noise, excitation)
 
 
 def test_one_line_gives_two_numbers_of_a_pedestal() -> None:
