@@ -138,12 +138,6 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
         Section("Provenance", _provenance(identification)),
     )
     subtitle = f"Report of {index.tests + index.failed} tests, labpipe {identification.version}"
-    return Document(identification.title, subtitle, sections, _cover(identification, index, tests))
-
-
-def _cover(
-    identification: Identification, index: DatasetIndex, tests: ManyTests
-) -> tuple[tuple[str, str], ...]:
     dates = sorted(
         {date for columns in tests.parameters for date in (*columns.dates[:1], *columns.dates[-1:])}
     )
@@ -155,7 +149,12 @@ def _cover(
         "pipeline": identification.pipeline,
         "computed by": f"labpipe {identification.version}",
     }
-    return tuple((what, which) for what, which in facts.items() if which)
+    return Document(
+        identification.title,
+        subtitle,
+        sections,
+        tuple((what, which) for what, which in facts.items() if which),
+    )
 
 
 def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block, ...]:

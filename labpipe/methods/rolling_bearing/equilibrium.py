@@ -47,20 +47,6 @@ def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Seque
         raise ConfigError(what, hint="hold it: displacements.z")
 
 
-def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
-    deg.
-    """
-    for case, element in np.argwhere(at.deflection > bearing.reach)[:1].tolist():
-        what = f"is pressed in by {1e6 * at.deflection[case, element]:.4g} um"
-        hint = f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements"
-        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
-    for case, element in np.argwhere((at.deflection > 0) & (at.cos < 0))[:1].tolist():
-        what = "carries at a contact angle beyond 90 deg: the rings have come apart"
-        hint = "the bearing cannot carry this load"
-        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
-
-
 def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> None:
     """Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]."""
     acting = ", ".join(
@@ -340,6 +326,15 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
         return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
 
     at = Contacts(**joined([part.contacts for part in parts], (field.name for field in fields(Contacts))))
-    check_carried(parts[0].bearing, at)
+    # FitError where the deflection exceeds the range of Hertzian contact, or the angle exceeds 90 deg
+    bearing = parts[0].bearing
+    for case, element in np.argwhere(at.deflection > bearing.reach)[:1].tolist():
+        what = f"is pressed in by {1e6 * at.deflection[case, element]:.4g} um"
+        hint = f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements"
+        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
+    for case, element in np.argwhere((at.deflection > 0) & (at.cos < 0))[:1].tolist():
+        what = "carries at a contact angle beyond 90 deg: the rings have come apart"
+        hint = "the bearing cannot carry this load"
+        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
     arrays = joined(parts, ("displacement", "load", "stiffness", "angles"))
     return replace(parts[0], contacts=at, **arrays)

@@ -67,9 +67,7 @@ class RotorTestRig(Settings):
             raise SettingError("band", f"no line every {self.spacing:g} Hz, or one at 0 Hz, lies in the band")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
             raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
-        self._check_nodes(np.inf if self.system is None else self.system.rig.rotor.n_node)
-
-    def _check_nodes(self, last: float) -> None:
+        last = np.inf if self.system is None else self.system.rig.rotor.n_node
         places = {"force": [self.force], "accelerations": self.accelerations, "probes": self.probes}
         for name, nodes in places.items():
             if len(set(nodes)) < max(len(nodes), 1) or any(

@@ -38,7 +38,11 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     a peak with measured speeds on both sides. Equation (run-peak).
     """
     number = run.planes.index(plane) if plane else len(run.planes) - 1
-    top = _top(run, number)
+    displacement = largest_displacement(run.response)[:, number]
+    top = int(np.argmax(displacement))
+    if run.n_speed < FEWEST_POINTS or not 2 <= top < run.n_speed - 2:
+        hint = f"measure {FEWEST_POINTS} speeds or more on both sides of a peak"
+        raise DataError(f"run '{run.name}' has no critical speed within its speeds", hint=hint)
     size = min(POINTS, run.n_speed)
     chosen, rng = _about(run, top, size), np.random.default_rng(SEED)
     wide = _peak(run, number, chosen, run.response)
@@ -49,15 +53,6 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     ]
     variance = np.std(again) ** 2 + (wide - narrow) ** 2 + np.sum(np.square(of_probes))
     return Uncertain(wide, float(np.sqrt(variance)))
-
-
-def _top(run: records.RunUp, number: int) -> int:
-    displacement = largest_displacement(run.response)[:, number]
-    top = int(np.argmax(displacement))
-    if run.n_speed < FEWEST_POINTS or not 2 <= top < run.n_speed - 2:
-        hint = f"measure {FEWEST_POINTS} speeds or more on both sides of a peak"
-        raise DataError(f"run '{run.name}' has no critical speed within its speeds", hint=hint)
-    return top
 
 
 def _about(run: records.RunUp, top: int, size: int) -> slice:
