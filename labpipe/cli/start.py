@@ -51,14 +51,10 @@ def examples() -> dict[str, list[Path]]:
     """The pipelines of every rig by the rig's name."""
     by_rig: dict[str, list[Path]] = {}
     for path in sorted((shipped() / "pipelines").glob("*.yaml")):
-        by_rig.setdefault(_rig_of(path), []).append(path)
+        text = path.read_text(encoding="utf-8")
+        named = _SAMPLE.search(text) or _VIRTUAL.search(text)
+        by_rig.setdefault((named[1] if named else path.stem), []).append(path)
     return dict(sorted(by_rig.items()))
-
-
-def _rig_of(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    named = _SAMPLE.search(text) or _VIRTUAL.search(text)
-    return named[1] if named else path.stem
 
 
 SCAFFOLD = ("rig.yaml", "pipeline.yaml")

@@ -306,8 +306,7 @@ def comparison_outcome(
     why = comparison.why_undecided(name)
     if why:
         return rule.outcome(None, False, f"not judged: {why}")
-    amount = _amount(rule, comparison, name)
-    return rule.outcome(*_compare_attribute(rule, amount, attribute))
+    return rule.outcome(*_compare_attribute(rule, _amount(rule, comparison, name), attribute))
 
 
 def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:

@@ -470,8 +470,7 @@ def _level(recording: StoredRecording, name: str) -> tuple[float, float, str]:
 
 
 def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
-    names = [channel.name for channel in recording.channels]
-    screen = ChannelScreen(names)
+    screen = ChannelScreen([channel.name for channel in recording.channels])
     for block in recording.blocks(READ_SAMPLES):
         screen.add(block)
     return screen.levels()

@@ -183,8 +183,7 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
     together = dict(channels.content)
     for name, node in faults.mapping(entries["derived"], "derived").items():
         key = join("derived", name)
-        parts = faults.mapping(node, key)
-        listed = parts.get("sum")
+        listed = faults.mapping(node, key).get("sum")
         if name in together:
             faults.add(node, key, "is a channel already", "give it another name")
         elif listed is None or not isinstance(listed.content, dict):
@@ -302,8 +301,7 @@ def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, c
     if certified is None:
         return node, None
     if certified.response and "response" in node.content:
-        what = "the certificate states it"
-        faults.add_at(node.content, key, "response", what, "leave it out")
+        faults.add_at(node.content, key, "response", "the certificate states it", "leave it out")
     number = replace(entry, content=certified.text, text=certified.text)
     return replace(node, content={**node.content, "sensitivity": number}), certified
 

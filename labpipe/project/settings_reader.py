@@ -32,8 +32,7 @@ class Faults:
 
     def add(self, node: Marked, key: str, message: str, hint: str = "") -> None:
         """A fault of the entry *key* at its place in the file."""
-        text = f"{key}: {message}" if key else message
-        self._faults.append(ConfigError(text, node.place, hint))
+        self._faults.append(ConfigError(f"{key}: {message}" if key else message, node.place, hint))
 
     def add_at(
         self, entries: Mapping[str, Marked], key: str, name: str, message: str, hint: str = ""

@@ -39,8 +39,7 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     there = np.isfinite(columns.values)
     values, unit = _in_unit(columns, columns.values[there])
     ends = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
-    x = np.arange(1.0, values.size + 1)
-    drawn, how = _draw(x, values, columns, there)
+    drawn, how = _draw(np.arange(1.0, values.size + 1), values, columns, there)
     panel = Panel(
         Axis("tests by date and name"),
         Axis(columns.parameter, legible(unit)),

@@ -325,8 +325,7 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
     design = design_multisine(rig.band, rig.spacing, rig.force)
-    size = (design.lines * design.spacing) ** rig.slope
-    amplitude = size * np.exp(1j * design.phases)
+    amplitude = (design.lines * design.spacing) ** rig.slope * np.exp(1j * design.phases)
     both = amplitude[:, None] * np.array(shares)
     if zipper:
         both = both * (np.arange(design.lines.size)[:, None] % 2 == np.arange(2))

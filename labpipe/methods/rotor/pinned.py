@@ -266,8 +266,7 @@ class Stability:
 
     def moving(self, vectors: ComplexArray) -> BoolArray:
         """Modes (..., n_mode) with motion of the journal; *vectors* (..., 2 n_dof, n_mode) [any unit]."""
-        n = self.rotor.n_dof
-        squares = np.abs(vectors[..., :n, :]) ** 2
+        squares = np.abs(vectors[..., : self.rotor.n_dof, :]) ** 2
         whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
         share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
         return share > LEAST_PARTICIPATION

@@ -338,8 +338,7 @@ def cover(result: RotorSystemResult) -> dict[str, str]:
     """The least decrement and the first critical speed."""
     facts = {"least log decrement": with_error(result.decrement[0], result.decrement[1])}
     if result.criticals:
-        first = result.criticals[0]
-        facts["first critical speed"] = plain_text(first.speed, "Hz", 4)
+        facts["first critical speed"] = plain_text(result.criticals[0].speed, "Hz", 4)
     return facts
 
 

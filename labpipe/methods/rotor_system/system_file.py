@@ -99,7 +99,14 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
     system = None
     if rig is not None:
-        _check_pedestals(rig, pedestals, faults)
+        bearings, carried = [place.name for place in rig.bearings], set[str]()
+        for node, pedestal in pedestals:
+            name = pedestal.bearing
+            if name not in bearings:
+                faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
+            if name in carried:
+                faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
+            carried.add(name)
         stated = [pedestal for _, pedestal in pedestals]
         system = _system(rig, entries, taken, stated, internal, estimated, faults)
         numbers = {key: list(of_key.values()) for key, of_key in taken.items()}
@@ -109,17 +116,6 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     faults.raise_any()
     assert system is not None
     return system
-
-
-def _check_pedestals(rig: RotorRig, pedestals: list[tuple[Marked, PedestalSettings]], faults: Faults) -> None:
-    bearings, carried = [place.name for place in rig.bearings], set[str]()
-    for node, pedestal in pedestals:
-        name = pedestal.bearing
-        if name not in bearings:
-            faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
-        if name in carried:
-            faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
-        carried.add(name)
 
 
 def _check_sources(

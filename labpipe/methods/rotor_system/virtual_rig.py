@@ -129,8 +129,7 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     acceleration = -(omega[:, None] ** 2) * motion[:, :, 0] * force[:, None]
     whole = np.zeros((n // 2 + 1, 1 + len(outputs)), np.complex128)
     whole[lines.astype(int)] = np.column_stack([force, acceleration]) * n / 2
-    period = np.fft.irfft(whole, n, axis=0)
-    samples = np.tile(period, (rig.periods, 1))
+    samples = np.tile(np.fft.irfft(whole, n, axis=0), (rig.periods, 1))
     noise = [rig.force_noise, *[rig.acceleration_noise] * len(outputs)]
     dof = f"{rig.force}{'z' if name == SHAKEN[1] else 'y'}"
     places = [f"{int(node)}{axis}" for node in rig.accelerations for axis in "yz"]

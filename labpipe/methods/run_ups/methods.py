@@ -308,8 +308,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: Ru
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
-    method = joint_method("joint", "(c) joint physical fit", fit)
-    return Solved(method, joint_at(fit), anywhere=fit)
+    return Solved(joint_method("joint", "(c) joint physical fit", fit), joint_at(fit), anywhere=fit)
 
 
 def solve_process(
