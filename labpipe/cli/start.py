@@ -105,8 +105,7 @@ def _example(name: str, folder: Path, output: OutputFolder) -> Path:
     root = shipped()
     files = [*found[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
     texts = [pipeline.read_text(encoding="utf-8") for pipeline in found[name]]
-    samples = {sample for text in texts for sample in _SAMPLE.findall(text)}
-    for sample in sorted(samples):
+    for sample in sorted({sample for text in texts for sample in _SAMPLE.findall(text)}):
         files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
     for path in files:
         output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())

@@ -152,8 +152,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     """The rig of a marked tree; None and faults where it cannot be read."""
     before = len(faults)
     entries = faults.mapping(tree, "")
-    plain = replace(tree, content=entries).without(*PARTS)
-    settings = read_settings(RigSettings, plain, "", faults)
+    settings = read_settings(RigSettings, replace(tree, content=entries).without(*PARTS), "", faults)
     listed = _with_listed_sums(entries, faults)
     channels, derived = _read_channels(listed, entries.get("constants"), tree, faults)
     if settings is not None:

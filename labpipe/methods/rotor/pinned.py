@@ -252,8 +252,7 @@ class Stability:
         d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A. Equation
         (rotor-least-stable).
         """
-        system = self.system(np.array([speed]), stiffness, damping)[0]
-        roots, vectors = np.linalg.eig(system)
+        roots, vectors = np.linalg.eig(self.system(np.array([speed]), stiffness, damping)[0])
         chosen = int(np.argmax(np.where(self.moving(vectors) & (roots.imag >= 0), roots.real, -np.inf)))
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         # Rows of the inverse of the right eigenvectors are the left ones, y^T x = 1.

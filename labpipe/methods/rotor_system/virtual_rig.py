@@ -161,8 +161,7 @@ def _run_up(world: World, name: str, rng: np.random.Generator) -> Recording:
         phases=built.phases[RUN_UP],
     )
     vectors, _, _ = test.readings(built.model, world.values)
-    course = scipy.interpolate.CubicSpline(grid, vectors)(speed)
-    motion = (course * np.exp(1j * turned)[:, None]).real
+    motion = (scipy.interpolate.CubicSpline(grid, vectors)(speed) * np.exp(1j * turned)[:, None]).real
     motion = motion + rig.probe_noise * rng.standard_normal(motion.shape)
     share = (turned / (2 * np.pi) + 0.5) % 1 - 0.5
     tacho = HIGH * np.clip(0.5 + np.minimum(share, PULSE - share) / RISE, 0.0, 1.0)
