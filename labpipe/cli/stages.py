@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.header import source_ref
-from labpipe.artefacts.writing import OutputFolder, output_folder
+from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
 from labpipe.cli.many import Progress, echo_failed, manner, silent
 from labpipe.cli.output import echo, echo_findings
@@ -24,7 +24,6 @@ from labpipe.project.rig_file import load_rig
 from labpipe.project.run import Manner, measure_tests, run
 from labpipe.project.tests import SourceFile, Test
 from labpipe.records.finding import WARNING, of_level
-from labpipe.records.identification import Identification
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 
 
@@ -142,7 +141,15 @@ def identify(
     with options.results_folder(output) as folder:
         if frfs:
             tell(f"identify  {pipeline.title}")
-            identification = _identify_files(pipeline, frfs, folder)
+            tests = [load_measured(path) for path in frfs]
+            if len({test.name for test in tests}) < len(tests):
+                hint = "list them as `frfs:` of tests with names in the pipeline"
+                raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
+            inputs = tuple(source_ref(path, path.parent) for path in frfs)
+            sources = (*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files))
+            identification = identify_stage(
+                pipeline, MeasuredTests(tuple(tests), sources, inputs=inputs), folder
+            )
         else:
             progress = silent if quiet else Progress(verbose)
             identification = run(pipeline, folder, Manner(tell, progress, measured_before=True))
@@ -150,16 +157,6 @@ def identify(
     echo_identification(identification, quiet)
     echo_failed(identification.failed)
     return 2 if identification.failed else 0 if identification.accepted else 1
-
-
-def _identify_files(pipeline: Pipeline, frfs: tuple[Path, ...], folder: OutputFolder) -> Identification:
-    tests = [load_measured(path) for path in frfs]
-    if len({test.name for test in tests}) < len(tests):
-        hint = "list them as `frfs:` of tests with names in the pipeline"
-        raise ConfigError("two of the files are of one test, or of none", frfs[0].parent, hint)
-    inputs = tuple(source_ref(path, path.parent) for path in frfs)
-    sources = (*inputs, *(source_ref(path, pipeline.folder) for path in pipeline.side_files))
-    return identify_stage(pipeline, MeasuredTests(tuple(tests), sources, inputs=inputs), folder)
 
 
 @click.command()

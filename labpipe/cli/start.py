@@ -51,30 +51,10 @@ def examples() -> dict[str, list[Path]]:
     """The pipelines of every rig by the rig's name."""
     by_rig: dict[str, list[Path]] = {}
     for path in sorted((shipped() / "pipelines").glob("*.yaml")):
-        by_rig.setdefault(_rig_of(path), []).append(path)
+        text = path.read_text(encoding="utf-8")
+        named = _SAMPLE.search(text) or _VIRTUAL.search(text)
+        by_rig.setdefault((named[1] if named else path.stem), []).append(path)
     return dict(sorted(by_rig.items()))
-
-
-def _rig_of(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    named = _SAMPLE.search(text) or _VIRTUAL.search(text)
-    return named[1] if named else path.stem
-
-
-def copy_example(name: str, output: OutputFolder) -> list[str]:
-    """Copy an example's pipelines with all they name; the names of the pipelines. ConfigError for none."""
-    pipelines = examples()
-    if name not in pipelines:
-        raise ConfigError(f"no example '{name}'", hint=nearest(name, pipelines))
-    root = shipped()
-    files = [*pipelines[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
-    texts = [pipeline.read_text(encoding="utf-8") for pipeline in pipelines[name]]
-    samples = {sample for text in texts for sample in _SAMPLE.findall(text)}
-    for sample in sorted(samples):
-        files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
-    for path in files:
-        output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())
-    return [pipeline.name for pipeline in pipelines[name]]
 
 
 SCAFFOLD = ("rig.yaml", "pipeline.yaml")
@@ -118,7 +98,18 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
 
 
 def _example(name: str, folder: Path, output: OutputFolder) -> Path:
-    pipelines = copy_example(name, output)
+    # Copy an example's pipelines with all they name
+    found = examples()
+    if name not in found:
+        raise ConfigError(f"no example '{name}'", hint=nearest(name, found))
+    root = shipped()
+    files = [*found[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
+    texts = [pipeline.read_text(encoding="utf-8") for pipeline in found[name]]
+    for sample in sorted({sample for text in texts for sample in _SAMPLE.findall(text)}):
+        files.extend(path for path in (root / "sample_data" / sample).rglob("*") if path.is_file())
+    for path in files:
+        output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())
+    pipelines = [pipeline.name for pipeline in found[name]]
     echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
     return folder / "pipelines" / pipelines[0]
 
@@ -162,9 +153,23 @@ def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
     if output is not None:
         write_card(content, file.name, output)
     if isinstance(content, FrequencyResponse):
-        _echo_response(content, file.name)
+        echo(f"{file.name}: {content.form} [{FORMS[content.form]}], {_lines(content.frequency)}")
+        forces = "bases" if content.form == "transmissibility" else "forces"
+        for title, ports in (("responses", content.outputs), (forces, content.inputs)):
+            echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
+        qualities = [name for name in ("covariance", "coherence") if getattr(content, name) is not None]
+        echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
     elif isinstance(content, ChannelSpectra):
-        _echo_spectra(content, file.name)
+        runs = ", ".join(content.runs)
+        echo(f"{file.name}: spectra of all channels, {_lines(content.frequency)}, runs {runs}")
+        width = max(len("channel"), *(len(channel.name) for channel in content.channels))
+        echo(f"  {'channel':<{width}}  {'rms of a line':>14}{'noise':>12}  unit")
+        for number, channel in enumerate(content.channels):
+            size = (abs(content.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
+            noise = (content.covariance[:, :, number, number].real.mean() / 2) ** 0.5
+            about = f"{channel.unit}, {channel.role} {channel.dof}"
+            echo(f"  {channel.name:<{width}}  {size:>14.4g}{noise:>12.3g}  {about}")
+        echo_findings(content.findings)
     elif isinstance(content, FileShapes):
         _echo_shapes(content, file.name)
     else:
@@ -175,28 +180,6 @@ def inspect(file: Path, rig_path: Path | None, output: Path | None) -> None:
 
 def _lines(frequency: FloatArray) -> str:
     return f"{frequency.size} lines, {frequency[0]:g} to {frequency[-1]:g} Hz"
-
-
-def _echo_response(response: FrequencyResponse, file: str) -> None:
-    echo(f"{file}: {response.form} [{FORMS[response.form]}], {_lines(response.frequency)}")
-    forces = "bases" if response.form == "transmissibility" else "forces"
-    for title, ports in (("responses", response.outputs), (forces, response.inputs)):
-        echo(f"  {title:<9} " + ", ".join(_port(port) for port in ports))
-    qualities = [name for name in ("covariance", "coherence") if getattr(response, name) is not None]
-    echo(f"  with {' and '.join(qualities)}" if qualities else "  without covariance or coherence")
-
-
-def _echo_spectra(spectra: ChannelSpectra, file: str) -> None:
-    runs = ", ".join(spectra.runs)
-    echo(f"{file}: spectra of all channels, {_lines(spectra.frequency)}, runs {runs}")
-    width = max(len("channel"), *(len(channel.name) for channel in spectra.channels))
-    echo(f"  {'channel':<{width}}  {'rms of a line':>14}{'noise':>12}  unit")
-    for number, channel in enumerate(spectra.channels):
-        size = (abs(spectra.vectors[:, :, number]) ** 2).mean() ** 0.5 / 2**0.5
-        noise = (spectra.covariance[:, :, number, number].real.mean() / 2) ** 0.5
-        about = f"{channel.unit}, {channel.role} {channel.dof}"
-        echo(f"  {channel.name:<{width}}  {size:>14.4g}{noise:>12.3g}  {about}")
-    echo_findings(spectra.findings)
 
 
 def _echo_shapes(shapes: FileShapes, file: str) -> None:

@@ -141,7 +141,15 @@ def _project(
     if remote is not None and not digests_only:
         what = "lies in an object storage, and is not brought into the archive"
         raise DataError(what, show(remote), "--digests-only keeps its digest")
-    settings, named = _named_by(pipeline.path)
+    # The settings files that a settings file names, itself first; and all other files that these name
+    settings, others = [_absolute(pipeline.path)], list[Path]()
+    for file in settings:
+        for node in _texts(load_marked(file)):
+            target = _absolute(file.parent / node.text)
+            if target in settings or not _is_named(node, file.parent):
+                continue
+            (settings if target.suffix in YAML else others).append(target)
+    named = list(dict.fromkeys(others))
     roles = dict.fromkeys(map(_absolute, raw), "recording")
     roles |= {
         path: "table or file that the settings name"
@@ -163,18 +171,6 @@ def _project(
 def _absolute(path: Path) -> Path:
     """The path without '..', links as they are; a URL as it is."""
     return path if is_remote(path) else Path(os.path.abspath(path))
-
-
-def _named_by(path: Path) -> tuple[list[Path], list[Path]]:
-    """The settings files that a settings file names, itself first; and all other files that these name."""
-    settings, others = [_absolute(path)], list[Path]()
-    for file in settings:
-        for node in _texts(load_marked(file)):
-            target = _absolute(file.parent / node.text)
-            if target in settings or not _is_named(node, file.parent):
-                continue
-            (settings if target.suffix in YAML else others).append(target)
-    return settings, list(dict.fromkeys(others))
 
 
 def _is_named(node: Marked, folder: Path) -> bool:

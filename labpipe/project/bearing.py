@@ -244,8 +244,7 @@ def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: Output
         for row in zip(*columns.values(), strict=True):
             cells = (value if isinstance(value, str) else f"{value:.9g}" for value in row)
             stream.write(",".join(cells) + "\n")
-    swept = [point.coefficients for point in points]
-    figures = sweep_figures(name, sweep.label, sweep.values, swept)
+    figures = sweep_figures(name, sweep.label, sweep.values, [point.coefficients for point in points])
     for kind, figure in figures.items():
         output.write_path(f"sweep-{kind}.svg").write_text(svg_file(figure), encoding="utf-8")
     return ["sweep.csv", *(f"sweep-{kind}.svg" for kind in figures)]

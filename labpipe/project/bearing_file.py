@@ -166,17 +166,13 @@ def parse_sweep(text: str, owner: type) -> Sweep:
         step -= parse_value(f"0 {unit_of_last}", unit)
     except UnitError as error:
         raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
-    return Sweep(key, unit, _values(start, stop, step, where))
-
-
-def _values(start: float, stop: float, step: float, where: str) -> FloatArray:
     if step == 0 or (stop - start) / step < 0.5:
         raise ConfigError("the step does not lead from start to stop", where)
     # A step that misses the stop ends before it; rounding must not lose the stop itself.
     number = int((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
     if number > MAX_VALUES:
         raise ConfigError(f"{number} values are too many", where, f"at most {MAX_VALUES}")
-    return start + step * np.arange(number)
+    return Sweep(key, unit, start + step * np.arange(number))
 
 
 def _swept_keys(owner: type, above: str = "") -> list[tuple[str, Setting]]:

@@ -70,7 +70,11 @@ def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
     with closing(_open(folder)) as connection:
         if _bring_up_to_date(connection, folder):
-            _keep(connection, folder)
+            # Write the index as a whole beside the results, where that is allowed: others may do so at once
+            index = folder / INDEX
+            if index.is_file() or not index.exists():
+                with suppress(DataError, OSError), output_file(index) as path:
+                    path.write_bytes(_stamp(connection.serialize()))
         if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
             hint = "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
             raise DataError(f"holds no {NAME}", folder, hint)
@@ -103,14 +107,6 @@ def _stamp(database: bytes) -> bytes:
     """The database with its CRC-32 as the user's version, by which a damaged index is noticed."""
     first, last = database[: _STAMP.start], database[_STAMP.stop :]
     return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
-
-
-def _keep(connection: sqlite3.Connection, folder: Path) -> None:
-    """Write the index as a whole beside the results, where that is allowed: others may do so at once."""
-    index = folder / INDEX
-    if index.is_file() or not index.exists():
-        with suppress(DataError, OSError), output_file(index) as path:
-            path.write_bytes(_stamp(connection.serialize()))
 
 
 def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
@@ -383,9 +379,15 @@ def _clauses(
             clauses.append(f"date(substr({date}, 1, 10)) {sign} ?")
             bound.append(checked_day(day))
     for condition in criteria.where:
-        clause, bounds = _condition_clause(index, condition, same_test)
-        clauses.append(clause)
-        bound.extend(bounds)
+        name, _, _ = split_condition(condition)
+        rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
+        amounts = {written: (amount, unit) for written, amount, unit in rows}
+        if not amounts:
+            names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
+            raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
+        begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ?"
+        clauses.append(f"{begin} AND c.text {_AMONG})")
+        bound.extend([name, json.dumps(meeting(condition, amounts))])
     return clauses, bound
 
 
@@ -422,17 +424,6 @@ def split_condition(text: str) -> tuple[str, str, str]:
         hint = "for example 'preload >= 400 N' or 'direction = up'"
         raise ConfigError(f"'{text}' is not a condition", hint=hint)
     return match["name"], match["sign"], match["bound"]
-
-
-def _condition_clause(index: sqlite3.Connection, text: str, same_test: str) -> tuple[str, list[Any]]:
-    name, _, _ = split_condition(text)
-    rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
-    amounts = {written: (amount, unit) for written, amount, unit in rows}
-    if not amounts:
-        names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
-        raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
-    begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ?"
-    return f"{begin} AND c.text {_AMONG})", [name, json.dumps(meeting(text, amounts))]
 
 
 def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> list[str]:

@@ -36,7 +36,7 @@ from labpipe.report.comparison import comparison_sections
 from labpipe.report.condition_matrix import matrix_sections
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.matrix import PointTheory, condition_matrix
-from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, MatrixTheorySettings, levels_of
+from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, levels_of
 
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
@@ -117,24 +117,21 @@ def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
     if settings.theory is None:
         return None
     if settings.theory.bearing:
-        return _bearing_theory(folder / settings.theory.bearing, settings.theory)
+        theory, path = settings.theory, folder / settings.theory.bearing
+        theories: dict[tuple[float, ...], Mapping[str, float]] = {}
+
+        def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
+            if conditions not in theories:
+                file = open_bearing(path)
+                for entry, value, unit in zip(theory.entries, conditions, units, strict=True):
+                    if entry != NO_ENTRY:
+                        set_entry(file.tree, f"{entry}={value!r} {unit}")
+                (coefficients,) = file.coefficients([file.settings()])
+                theories[conditions] = in_rig_axes(coefficients, theory.axes)
+            return theories[conditions]
+
+        return at
     return _table_theory(folder / settings.theory.table, settings.over, settings.tolerance)
-
-
-def _bearing_theory(path: Path, theory: MatrixTheorySettings) -> PointTheory:
-    theories: dict[tuple[float, ...], Mapping[str, float]] = {}
-
-    def at(conditions: tuple[float, ...], units: tuple[str, ...]) -> Mapping[str, float]:
-        if conditions not in theories:
-            file = open_bearing(path)
-            for entry, value, unit in zip(theory.entries, conditions, units, strict=True):
-                if entry != NO_ENTRY:
-                    set_entry(file.tree, f"{entry}={value!r} {unit}")
-            (coefficients,) = file.coefficients([file.settings()])
-            theories[conditions] = in_rig_axes(coefficients, theory.axes)
-        return theories[conditions]
-
-    return at
 
 
 def in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:

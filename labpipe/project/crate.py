@@ -164,7 +164,13 @@ def read_metadata(content: bytes, where: str) -> Crate:
     try:
         graph = json.loads(content.decode("utf-8"))["@graph"]
         entities: Mapping[str, Entity] = {entity["@id"]: entity for entity in graph}
-        main = _root(entities)
+        descriptor: Entity = {}
+        for entity in entities.values():
+            kind = entity.get("conformsTo")
+            kind = kind.get("@id") if isinstance(kind, dict) else kind
+            if not descriptor and str(kind).startswith(FAMILY) and "about" in entity:
+                descriptor = entity
+        main = entities[descriptor["about"]["@id"]]
         files = tuple(_listing(entity, where) for entity in entities.values() if entity["@type"] == "File")
         left_out = sum(name.startswith("#left-out/") for name in entities)
         pipeline = unquote(main["mainEntity"]["@id"])
@@ -174,16 +180,6 @@ def read_metadata(content: bytes, where: str) -> Crate:
     if pipeline not in {file.name for file in files}:
         raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where)
     return Crate(files, pipeline, left_out)
-
-
-def _root(entities: Mapping[str, Entity]) -> Entity:
-    descriptor: Entity = {}
-    for entity in entities.values():
-        kind = entity.get("conformsTo")
-        kind = kind.get("@id") if isinstance(kind, dict) else kind
-        if not descriptor and str(kind).startswith(FAMILY) and "about" in entity:
-            descriptor = entity
-    return entities[descriptor["about"]["@id"]]
 
 
 def _listing(entity: Entity, where: str) -> Listed:

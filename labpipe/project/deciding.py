@@ -226,8 +226,7 @@ def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
     )
     least = "" if is_known else "at least: some correlations are not known; "
     shown = f"{least}all {len(numbers)} {within(probability)}: {outcome}"
-    passed = outcome in decision.outcomes
-    return rule.outcome(probability, passed, shown=shown, decision=record)
+    return rule.outcome(probability, outcome in decision.outcomes, shown=shown, decision=record)
 
 
 def _covariance(first: Limited, second: Limited) -> float | None:

@@ -104,7 +104,13 @@ class SumReader:
             hint = "a term is one channel times numbers, for example -30 kg * a_x"
             raise UnitError(f"'{text}' holds {what}", hint)
         self._check_unit(factors, members[0], text, name)
-        return _term_of(members[0], sign, factors)
+        value = sign * math.prod(factor.value for factor in factors)
+        numbers: dict[Number, float] = {}
+        for place, factor in enumerate(factors):
+            if factor.number is not None:
+                others = math.prod(other.value for at, other in enumerate(factors) if at != place)
+                numbers[factor.number] = numbers.get(factor.number, 0.0) + sign * others * factor.derivative
+        return Term(members[0], value, tuple(numbers), tuple(numbers.values()))
 
     def _literal(self, piece: str, term: str, name: str) -> Factor:
         if not _NUMBER.match(piece) and not _TURN.match(piece):
@@ -135,16 +141,6 @@ def _combine(first: Dimension, second: Dimension, sign: int) -> Dimension:
     return m, kg, s, a, k, rad
 
 
-def _term_of(member: str, sign: float, factors: list[Factor]) -> Term:
-    value = sign * math.prod(factor.value for factor in factors)
-    numbers: dict[Number, float] = {}
-    for place, factor in enumerate(factors):
-        if factor.number is not None:
-            others = math.prod(other.value for at, other in enumerate(factors) if at != place)
-            numbers[factor.number] = numbers.get(factor.number, 0.0) + sign * others * factor.derivative
-    return Term(member, value, tuple(numbers), tuple(numbers.values()))
-
-
 def _parts(text: str) -> list[tuple[float, str]]:
     text = text.strip()
     if not text:
@@ -168,17 +164,13 @@ def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ..
         is_sum = term.channel in sums
         inner = expand(sums, term.channel, (*above, name)) if is_sum else (Term(term.channel, 1.0),)
         for part in inner:
-            whole = _product(term, part)
+            # A term of a sum that is itself a member: d(ab) = a db + b da
+            scaled = part.times(term.factor)
+            derivatives = tuple(part.factor * derivative for derivative in term.derivatives)
+            by_derivatives = Term(part.channel, 0.0, term.numbers, derivatives)
+            whole = replace(_add(scaled, by_derivatives), factor=scaled.factor)
             terms[part.channel] = _add(terms[part.channel], whole) if part.channel in terms else whole
     return tuple(terms.values())
-
-
-def _product(outer: Term, inner: Term) -> Term:
-    """A term of a sum that is itself a member: d(ab) = a db + b da."""
-    scaled = inner.times(outer.factor)
-    derivatives = tuple(inner.factor * derivative for derivative in outer.derivatives)
-    by_derivatives = Term(inner.channel, 0.0, outer.numbers, derivatives)
-    return replace(_add(scaled, by_derivatives), factor=scaled.factor)
 
 
 def _add(first: Term, second: Term) -> Term:

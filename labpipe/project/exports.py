@@ -357,28 +357,7 @@ def write_dcc(artefact: Path, target: Path) -> None:
     ET.register_namespace("dcc", DCC[1:-1])
     ET.register_namespace("si", SI[1:-1])
     root = ET.Element(f"{DCC}digitalCalibrationCertificate", schemaVersion=SCHEMA)
-    _administrative(_child(root, "administrativeData"), identification)
-    results = _child(root, "measurementResults")
-    for number, fit in enumerate(identification.fits):
-        _fit(_child(results, "measurementResult", id=f"fit{number + 1}"), fit, f"fit{number + 1}")
-    ET.indent(root)
-    target.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-
-
-def _child(owner: ET.Element, name: str, text: str = "", space: str = DCC, **attributes: str) -> ET.Element:
-    child = ET.SubElement(owner, f"{space}{name}", attributes)
-    # Without the characters that XML cannot hold.
-    child.text = re.sub(r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text) or None
-    return child
-
-
-def _name(owner: ET.Element, name: str, text: str) -> ET.Element:
-    child = _child(owner, name)
-    _child(_child(child, "name"), "content", text)
-    return child
-
-
-def _administrative(owner: ET.Element, identification: Identification) -> None:
+    owner = _child(root, "administrativeData")
     software = _name(_child(owner, "dccSoftware"), "software", "labpipe")
     _child(software, "release", identification.version or __version__)
     core = _child(owner, "coreData")
@@ -402,6 +381,24 @@ def _administrative(owner: ET.Element, identification: Identification) -> None:
         statements = _child(owner, "statements")
         for outcome in identification.outcomes:
             _statement(_child(statements, "statement"), outcome)
+    results = _child(root, "measurementResults")
+    for number, fit in enumerate(identification.fits):
+        _fit(_child(results, "measurementResult", id=f"fit{number + 1}"), fit, f"fit{number + 1}")
+    ET.indent(root)
+    target.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+
+
+def _child(owner: ET.Element, name: str, text: str = "", space: str = DCC, **attributes: str) -> ET.Element:
+    child = ET.SubElement(owner, f"{space}{name}", attributes)
+    # Without the characters that XML cannot hold.
+    child.text = re.sub(r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text) or None
+    return child
+
+
+def _name(owner: ET.Element, name: str, text: str) -> ET.Element:
+    child = _child(owner, name)
+    _child(_child(child, "name"), "content", text)
+    return child
 
 
 def _locate(contact: ET.Element) -> None:
@@ -421,8 +418,7 @@ def _fit(owner: ET.Element, fit: Fit, key: str) -> None:
     _child(_child(owner, "name"), "content", title)
     band = f"{fit.band_hz[0]:g} Hz to {fit.band_hz[1]:g} Hz"
     _name(_child(owner, "usedMethods"), "usedMethod", f"{fit.model}, {fit.estimator}, {band}")
-    result = _name(_child(owner, "results"), "result", title)
-    listed = _child(_child(result, "data"), "list")
+    listed = _child(_child(_name(_child(owner, "results"), "result", title), "data"), "list")
     for parameter in fit.parameters:
         _quantity(listed, parameter, key)
 

@@ -76,7 +76,14 @@ def identify_stage(
         test_fits=measured.fits,
         failed=list(measured.failed),
     )
-    records = _run_sections(work)
+    records: dict[str, Any] = {}
+    for name, settings in work.pipeline.sections.items():
+        entry = section(name)
+        record = entry.run(settings, work)
+        if entry.fits:
+            work.fits.extend(record)
+        else:
+            records[name] = record
     identification = replace(
         basis,
         fits=tuple(work.fits),
@@ -90,18 +97,6 @@ def identify_stage(
     )
     write_identification(output.write_path(NAME), identification)
     return identification
-
-
-def _run_sections(work: Work) -> dict[str, Any]:
-    records: dict[str, Any] = {}
-    for name, settings in work.pipeline.sections.items():
-        entry = section(name)
-        record = entry.run(settings, work)
-        if entry.fits:
-            work.fits.extend(record)
-        else:
-            records[name] = record
-    return records
 
 
 def _same_work(existing: Identification, basis: Identification) -> bool:

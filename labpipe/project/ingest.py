@@ -104,7 +104,29 @@ def ingest(
     if (fresh := fresh_path(output, name + recording_file.SUFFIX, header)) is not None:
         return recording_file.open_recording(fresh)
     target = output.write_path(name + recording_file.SUFFIX)
-    recording = _write(table, rig, target, header, source.stem)
+    timed = check_table(table, rig)
+    channels = rig.all_channels
+    time = TimeAxisScreen(rig.time) if rig.time else None
+    if time is None:
+        stated_rate(table, rig)
+    screen, calibration = channel_screen(rig), Calibration(rig)
+    seconds = time_scale(rig.time, table.units)
+    try:
+        with recording_file.RecordingWriter(target, channels) as writer:
+            for chunk in table.chunks(timed):
+                if time is not None:
+                    time.add(chunk[:, 0] * seconds)
+                block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
+                screen.add(block)
+                writer.write(calibration.with_sums(block))
+            sample_rate = _rate_of_times(time, table) if time is not None else stated_rate(table, rig)
+            contents = recording_file.recording_contents(channels, sample_rate, source.stem, screen.levels())
+            of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
+            writer.finish(replace(header, findings=(*of_table, *screen.findings()), contents=contents))
+    except DataError as error:
+        error.where = error.where or str(table.path)
+        raise
+    recording = writer.recording()
     for path, reference in zip((source, *joined), header.inputs, strict=True):
         if source_ref(path, base) != reference:
             raise changed_while_read(path)
@@ -217,33 +239,6 @@ class Calibration:
     def with_sums(self, block: FloatArray) -> FloatArray:
         """The measured channels (n, n_measured) [SI] and beside them the sums, (n, n_channel) [SI]."""
         return block if self._sums is None else np.concatenate([block, block @ self._sums], axis=1)
-
-
-def _write(table: Table, rig: Rig, target: Path, header: Header, name: str) -> recording_file.StoredRecording:
-    timed = check_table(table, rig)
-    channels = rig.all_channels
-    time = TimeAxisScreen(rig.time) if rig.time else None
-    if time is None:
-        stated_rate(table, rig)
-    screen, calibration = channel_screen(rig), Calibration(rig)
-    seconds = time_scale(rig.time, table.units)
-    try:
-        with recording_file.RecordingWriter(target, channels) as writer:
-            for chunk in table.chunks(timed):
-                if time is not None:
-                    time.add(chunk[:, 0] * seconds)
-                block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
-                screen.add(block)
-                writer.write(calibration.with_sums(block))
-            sample_rate = _rate_of_times(time, table) if time is not None else stated_rate(table, rig)
-            contents = recording_file.recording_contents(channels, sample_rate, name, screen.levels())
-            of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
-            findings = (*of_table, *screen.findings())
-            writer.finish(replace(header, findings=findings, contents=contents))
-    except DataError as error:
-        error.where = error.where or str(table.path)
-        raise
-    return writer.recording()
 
 
 def contradictions(table: Table, rig: Rig) -> list[DataError]:

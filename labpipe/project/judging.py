@@ -65,16 +65,6 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> d
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends, None
 
 
-def compare_expanded(rule: Rule, parameter: Parameter) -> deciding.Compared:
-    """The expanded uncertainty against a rule, relative to the value where that is in per cent."""
-    half = deciding.expanded_of(parameter)
-    if parameter.ci95 is None or half is None:
-        return None, False, "", None
-    if rule.bound.endswith("%"):
-        return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
-    return compare_number(rule, half, parameter.unit)
-
-
 # Warnings with which nothing is accepted: the size of the error is not known.
 FORBIDDING = ("feedback", "weak-injection")
 
@@ -283,7 +273,13 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
     if attribute == "std_error":
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
-        return compare_expanded(rule, parameter)
+        # The expanded uncertainty against a rule, relative to the value where that is in per cent
+        half = deciding.expanded_of(parameter)
+        if parameter.ci95 is None or half is None:
+            return None, False, "", None
+        if rule.bound.endswith("%"):
+            return compare_number(rule, half / abs(parameter.value) if parameter.value else None, "1")
+        return compare_number(rule, half, parameter.unit)
     if attribute == "covers":
         return compare_covers(rule, parameter.ci95, parameter.unit)
     if attribute:
@@ -310,8 +306,7 @@ def comparison_outcome(
     why = comparison.why_undecided(name)
     if why:
         return rule.outcome(None, False, f"not judged: {why}")
-    amount = _amount(rule, comparison, name)
-    return rule.outcome(*_compare_attribute(rule, amount, attribute))
+    return rule.outcome(*_compare_attribute(rule, _amount(rule, comparison, name), attribute))
 
 
 def _amount(rule: Rule, comparison: Comparison, name: str) -> Parameter:

@@ -141,8 +141,7 @@ def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit
         what = f"matrix '{matrix.name}' lacks {', '.join(missing)}"
         raise DataError(what, hint="a rotor code needs K and C whole")
     stiffness, damping, mass = (_square(point, letter) for letter in "kcm")
-    band = fits[0].band_hz if fits else (0.0, 0.0)
-    frequency = np.linspace(*band, N_WHIRL)
+    frequency = np.linspace(*(fits[0].band_hz if fits else (0.0, 0.0)), N_WHIRL)
     jw = 2j * np.pi * frequency[:, None, None]
     return frequency, np.asarray(stiffness + jw * damping + jw**2 * mass)
 

@@ -79,8 +79,7 @@ def measured_header(
     conditions: dict[str, str] | None,
 ) -> Header:
     """The header of what is measured from recordings, of raw ones with their rigs."""
-    frf = asdict(settings)
-    parameters: dict[str, Any] = {"frf": frf, "test": test, "conditions": conditions or {}}
+    parameters: dict[str, Any] = {"frf": asdict(settings), "test": test, "conditions": conditions or {}}
     raw = [recording for recording in recordings if isinstance(recording, RawRecording)]
     if raw:
         parameters[RIGS] = [asdict(recording.rig) for recording in raw]

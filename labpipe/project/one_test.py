@@ -244,7 +244,12 @@ def work(job: Job) -> Done:
     remarks: list[str] = []
     try:
         with brought(job) as near:
-            sources, result = _work(near, remarks)
+            with output_folder(near.target, near.scratch, remarks) as output:
+                sources = measure(near, output)
+            if near.fits:
+                with output_folder(near.target, near.scratch, remarks) as output:
+                    fit(near, output)
+            result = None if near.rules is None else _result(near, near.rules, sources)
     except LabpipeError as error:
         failed, halts = Failed(job.test.name, str(error)), isinstance(error, StorageError)
         return Done(job.test.name, failed=failed, remarks=tuple(remarks), halts=halts)
@@ -268,15 +273,6 @@ def brought(job: Job) -> Iterator[Job]:
         yield replace(job, test=replace(job.test, recordings=recordings))
 
 
-def _work(job: Job, remarks: list[str]) -> tuple[tuple[SourceRef, ...], TestResult | None]:
-    with output_folder(job.target, job.scratch, remarks) as output:
-        sources = measure(job, output)
-    if job.fits:
-        with output_folder(job.target, job.scratch, remarks) as output:
-            fit(job, output)
-    return sources, None if job.rules is None else _result(job, job.rules, sources)
-
-
 def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> TestResult:
     fits, digest = fits_with_digest(job.target / job.fits_name) if job.fits else ([], "")
     conditions, findings = job.test.conditions, []
@@ -292,7 +288,20 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
         return sources_before(job)
     recorded = _measured_as_read(job, output, tell)
     if recorded is None:
-        recorded = _measured_from_calibrated(job, output, tell)
+        stored = []
+        for source, name in zip(job.test.recordings, job.names, strict=True):
+            tell(f"ingest    {source.path.name}")
+            goal = f"recordings/{name}"
+            stored.append(ingest(source.path, source.rig, output, goal, job.folder, source.joined, source.by))
+        if stored:
+            if job.frf is None:
+                raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
+            tell(f"frf       {job.test.name or job.pipeline_path.stem}")
+            conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
+            measure_test(stored, job.frf, output, job.test.name, conditions, partial(_seen_in_files, job))
+        recorded = tuple(
+            reference for recording in stored for reference in recording_refs(recording, job.folder)
+        )
     return (*recorded, *_ready_sources(job))
 
 
@@ -327,21 +336,6 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
         # Of an earlier run, which made one.
         output.outdate(f"recordings/{name}{RECORDING}")
     return tuple(recording.source_ref() for recording in recordings)
-
-
-def _measured_from_calibrated(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...]:
-    stored = []
-    for source, name in zip(job.test.recordings, job.names, strict=True):
-        tell(f"ingest    {source.path.name}")
-        goal = f"recordings/{name}"
-        stored.append(ingest(source.path, source.rig, output, goal, job.folder, source.joined, source.by))
-    if stored:
-        if job.frf is None:
-            raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
-        tell(f"frf       {job.test.name or job.pipeline_path.stem}")
-        conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
-        measure_test(stored, job.frf, output, job.test.name, conditions, partial(_seen_in_files, job))
-    return tuple(reference for recording in stored for reference in recording_refs(recording, job.folder))
 
 
 def _seen_in_files(job: Job) -> list[Finding]:
@@ -476,8 +470,7 @@ def _level(recording: StoredRecording, name: str) -> tuple[float, float, str]:
 
 
 def _levels_of(recording: StoredRecording) -> dict[str, tuple[float, float]]:
-    names = [channel.name for channel in recording.channels]
-    screen = ChannelScreen(names)
+    screen = ChannelScreen([channel.name for channel in recording.channels])
     for block in recording.blocks(READ_SAMPLES):
         screen.add(block)
     return screen.levels()

@@ -333,8 +333,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
         return (Test("", source, frf=per_file[0].frf),)
 
-    pipeline = _load(path, overrides, imagined)
-    return replace(pipeline, tests=()), per_file[0]
+    return replace(_load(path, overrides, imagined), tests=()), per_file[0]
 
 
 def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:

@@ -182,8 +182,7 @@ def _write(content: bytes, path: Path, files: dict[str, bytes], figures: Path | 
     if figures is not None and figures.exists() and not figures.is_dir():
         raise DataError("is a file, a folder is needed", figures)
     with ExitStack() as outputs:
-        target = outputs.enter_context(output_file(path))
-        target.write_bytes(content)
+        outputs.enter_context(output_file(path)).write_bytes(content)
         if figures is not None:
             folder = outputs.enter_context(output_folder(figures))
             for name in _figures_before(figures):

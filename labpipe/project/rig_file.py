@@ -152,8 +152,7 @@ def read_rig(tree: Marked, faults: Faults) -> Rig | None:
     """The rig of a marked tree; None and faults where it cannot be read."""
     before = len(faults)
     entries = faults.mapping(tree, "")
-    plain = replace(tree, content=entries).without(*PARTS)
-    settings = read_settings(RigSettings, plain, "", faults)
+    settings = read_settings(RigSettings, replace(tree, content=entries).without(*PARTS), "", faults)
     listed = _with_listed_sums(entries, faults)
     channels, derived = _read_channels(listed, entries.get("constants"), tree, faults)
     if settings is not None:
@@ -183,8 +182,7 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
     together = dict(channels.content)
     for name, node in faults.mapping(entries["derived"], "derived").items():
         key = join("derived", name)
-        parts = faults.mapping(node, key)
-        listed = parts.get("sum")
+        listed = faults.mapping(node, key).get("sum")
         if name in together:
             faults.add(node, key, "is a channel already", "give it another name")
         elif listed is None or not isinstance(listed.content, dict):
@@ -302,8 +300,7 @@ def _with_certificate(node: Marked, key: str, faults: Faults) -> tuple[Marked, c
     if certified is None:
         return node, None
     if certified.response and "response" in node.content:
-        what = "the certificate states it"
-        faults.add_at(node.content, key, "response", what, "leave it out")
+        faults.add_at(node.content, key, "response", "the certificate states it", "leave it out")
     number = replace(entry, content=certified.text, text=certified.text)
     return replace(node, content={**node.content, "sensitivity": number}), certified
 

@@ -186,8 +186,7 @@ def _together(
     shared = {name: node for name, node in entry.content.items() if name in ("rule", "risk", "outcomes")}
     members: list[Rule] = []
     for member, limits in faults.mapping(entry.content["together"], join(key, "together")).items():
-        inner = join(key, "together", member)
-        match = _match(member, limits, inner, faults, fits)
+        match = _match(member, limits, join(key, "together", member), faults, fits)
         if match is not None:
             with_limits = Marked({**shared, "limits": limits}, limits.where, limits.key_where)
             decided = _decide(section, member, with_limits, match, faults)

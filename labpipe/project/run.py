@@ -51,7 +51,13 @@ def run(pipeline: Pipeline, output: OutputFolder, manner: Manner) -> Identificat
     """
     independent = independent_fits(pipeline)
     if keeps_dataset(pipeline, independent):
-        return _run_many(pipeline, output, manner, independent)
+        with staging_folder(existing_home(output.target)) as scratch:
+            jobs = _jobs(pipeline, output.target, scratch, independent, manner, pipeline.rules)
+            gathered = Gathered(jobs, output)
+            for outcome in _outcomes(jobs, manner):
+                gathered.add(outcome)
+        manner.tell(f"identify  {pipeline.title}")
+        return identify(pipeline, gathered, output)
     output.remarks.extend(filter(None, [advice(pipeline, independent)]))
     measured = measure_tests(pipeline, output, manner, independent)
     manner.tell(f"identify  {pipeline.title}")
@@ -69,18 +75,6 @@ def run_only(pipeline: Pipeline, target: Path, test: str, manner: Manner) -> one
         job = _jobs(pipeline, target, scratch, independent_fits(pipeline), manner)[names.index(test)]
         (done,) = _outcomes([job], manner)
     return done
-
-
-def _run_many(
-    pipeline: Pipeline, output: OutputFolder, manner: Manner, fits: Sequence[str]
-) -> Identification:
-    with staging_folder(existing_home(output.target)) as scratch:
-        jobs = _jobs(pipeline, output.target, scratch, fits, manner, pipeline.rules)
-        gathered = Gathered(jobs, output)
-        for outcome in _outcomes(jobs, manner):
-            gathered.add(outcome)
-    manner.tell(f"identify  {pipeline.title}")
-    return identify(pipeline, gathered, output)
 
 
 def measure_tests(

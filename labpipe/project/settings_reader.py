@@ -32,8 +32,7 @@ class Faults:
 
     def add(self, node: Marked, key: str, message: str, hint: str = "") -> None:
         """A fault of the entry *key* at its place in the file."""
-        text = f"{key}: {message}" if key else message
-        self._faults.append(ConfigError(text, node.place, hint))
+        self._faults.append(ConfigError(f"{key}: {message}" if key else message, node.place, hint))
 
     def add_at(
         self, entries: Mapping[str, Marked], key: str, name: str, message: str, hint: str = ""
@@ -262,7 +261,24 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
         faults.add(node, key, "is still to be decided", setting.help)
         return None
     if setting.section is not None:
-        return _sections(node, setting, key, faults)
+        assert setting.section is not None
+        if setting.kind == "section":
+            return read_settings(setting.section, node, key, faults)
+        before = len(faults)
+        if setting.kind == "sections":
+            named = [
+                (name, read_settings(setting.section, entry, join(key, name), faults))
+                for name, entry in faults.mapping(node, key).items()
+            ]
+            return None if len(faults) > before else tuple(named)
+        if not isinstance(node.content, list):
+            faults.add(node, key, "a list is needed", "each entry begins with '- '")
+            return None
+        listed = [
+            read_settings(setting.section, entry, f"{key}.{number}", faults)
+            for number, entry in enumerate(node.content, 1)
+        ]
+        return None if len(faults) > before else tuple(listed)
     try:
         value = read_value(node, setting)
     except UnitError as error:
@@ -272,27 +288,6 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
         faults.add_missing_file(node, key)
         return None
     return value
-
-
-def _sections(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
-    assert setting.section is not None
-    if setting.kind == "section":
-        return read_settings(setting.section, node, key, faults)
-    before = len(faults)
-    if setting.kind == "sections":
-        named = [
-            (name, read_settings(setting.section, entry, join(key, name), faults))
-            for name, entry in faults.mapping(node, key).items()
-        ]
-        return None if len(faults) > before else tuple(named)
-    if not isinstance(node.content, list):
-        faults.add(node, key, "a list is needed", "each entry begins with '- '")
-        return None
-    listed = [
-        read_settings(setting.section, entry, f"{key}.{number}", faults)
-        for number, entry in enumerate(node.content, 1)
-    ]
-    return None if len(faults) > before else tuple(listed)
 
 
 def _content(node: Marked, name: str | None, setting: Setting, key: str, faults: Faults) -> Any:

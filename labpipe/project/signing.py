@@ -14,7 +14,7 @@ import io
 import json
 import logging
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -360,8 +360,7 @@ def _detach(path: Path, trust: Trust) -> Signature:
     cms, validation = _library("asn1crypto.cms"), _library("pyhanko.sign.validation")
     signed = path.with_name(path.name.removesuffix(DETACHED).rpartition(".")[0])
     try:
-        info = cms.ContentInfo.load(path.read_bytes(), strict=True)
-        data = info["content"]
+        data = cms.ContentInfo.load(path.read_bytes(), strict=True)["content"]
         words = _words(data["signer_infos"][0])
         content = signed.read_bytes() if signed.is_file() else None
         validate = partial(validation.async_validate_detached_cms, content or b"", data)
@@ -374,7 +373,15 @@ def _detach(path: Path, trust: Trust) -> Signature:
     if content is None:
         faults = (f"'{signed.name}', which it signs, is not there",)
     elif not status.intact:
-        faults = tuple(_changes(signed, words.get("members", {}))) or faults
+        members = words.get("members", {})
+        now = members_of(signed)
+        changed = [name for name in members if name in now and now[name] != members[name]]
+        kinds = (
+            (changed, "is not the file that was signed"),
+            ([name for name in members if name not in now], "was signed, and is gone"),
+            ([name for name in now if name not in members], "was added"),
+        )
+        faults = tuple(f"{cut(name)}: {what}" for names, what in kinds for name in names) or faults
     return _statement(signed, status, str(words.get("role", "")), str(words.get("reason", "")), faults)
 
 
@@ -385,14 +392,3 @@ def _words(signer_info: Any) -> dict[str, Any]:
             words = json.loads(text)
             return words if isinstance(words, dict) else {}
     return {}
-
-
-def _changes(path: Path, members: dict[str, str]) -> Sequence[str]:
-    now = members_of(path)
-    changed = [name for name in members if name in now and now[name] != members[name]]
-    kinds = (
-        (changed, "is not the file that was signed"),
-        ([name for name in members if name not in now], "was signed, and is gone"),
-        ([name for name in now if name not in members], "was added"),
-    )
-    return [f"{cut(name)}: {what}" for names, what in kinds for name in names]

@@ -193,8 +193,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
         ]
     if not values:
         raise rule.fault("no such case in the study")
-    outcomes = [compare_number(rule, value, "1") for value in values]
-    return rule.outcome_of_all(outcomes)
+    return rule.outcome_of_all([compare_number(rule, value, "1") for value in values])
 
 
 def _value(rule: Rule, case: StudyCase, item: str) -> float | None:

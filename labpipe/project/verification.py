@@ -180,8 +180,7 @@ def differences(first: Path, second: Path) -> list[str]:
     """The artefacts of a first folder of results that a second lacks, or has with another content."""
     lines = []
     for path in filter(Path.is_file, artefacts_below(first)):
-        name = path.relative_to(first)
-        other = second / name
+        other = second / path.relative_to(first)
         if not other.exists():
             lines.append(f"{path}: is not made by this pipeline")
         elif other.read_bytes() != path.read_bytes():

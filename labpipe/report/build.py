@@ -76,7 +76,16 @@ def _judgement(identification: Identification) -> tuple[Block, ...]:
         missing = _not_checked(identification)
         text = f"ACCEPTED: all {len(outcomes)} rules hold. {uncertainty}{missing}"
         lead = Paragraph(text, "note" if missing else "passed")
-    return (lead, *_by_goodness_alone(identification), *serious, *rule_blocks(outcomes))
+    # Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could
+    # compare with
+    unchecked = "; ".join(_fits_with("no-covariance", identification))
+    what = "By G.o.F alone, chi-square could not be checked (no covariance)"
+    return (
+        lead,
+        *((Paragraph(f"{what}: {unchecked}.", "warning"),) if unchecked else ()),
+        *serious,
+        *rule_blocks(outcomes),
+    )
 
 
 def _not_checked(identification: Identification) -> str:
@@ -96,15 +105,6 @@ def _not_checked(identification: Identification) -> str:
 
 def _listing(origins: Iterable[str], mark: str = ", ") -> str:
     return few(list(dict.fromkeys(origins)), MOST_NOTES, mark)
-
-
-def _by_goodness_alone(identification: Identification) -> tuple[Block, ...]:
-    """Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could
-    compare with.
-    """
-    unchecked = "; ".join(_fits_with("no-covariance", identification))
-    what = "By G.o.F alone, chi-square could not be checked (no covariance)"
-    return (Paragraph(f"{what}: {unchecked}.", "warning"),) if unchecked else ()
 
 
 def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
@@ -178,8 +178,22 @@ SHOWN_SETTINGS = ("frf", "identify", "calibrate", "run_ups")
 
 def provenance_sections(identification: Identification) -> tuple[Section, ...]:
     """Rig and conditions; sources with their checksums, settings, and how to repeat it all."""
+    blocks = list(rig_blocks(identification))
+    conditions = {name: entry for name, entry in identification.measured_tests if entry}
+    stated = tuple(
+        (test or "test", key, str(value))
+        for test, entry in conditions.items()
+        for key, value in entry.items()
+    )
+    if stated:
+        blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
+    for facts in section_facts(identification) if not blocks else ():
+        blocks.append(Paragraph("; ".join(f"{what}: {which}" for what, which in facts.items()) + "."))
     return (
-        Section("Rig and conditions", _rig(identification)),
+        Section(
+            "Rig and conditions",
+            tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),),
+        ),
         Section("Provenance", _provenance(identification)),
     )
 
@@ -205,21 +219,6 @@ def rig_blocks(identification: Identification) -> tuple[Block, ...]:
         Paragraph(f"{rig.get('name') or 'Rig'}. {rig.get('description', '')}{mass}"),
         Table(header, rows, "Channels", (6,)),
     )
-
-
-def _rig(identification: Identification) -> tuple[Block, ...]:
-    blocks = list(rig_blocks(identification))
-    conditions = {name: entry for name, entry in identification.measured_tests if entry}
-    stated = tuple(
-        (test or "test", key, str(value))
-        for test, entry in conditions.items()
-        for key, value in entry.items()
-    )
-    if stated:
-        blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
-    for facts in section_facts(identification) if not blocks else ():
-        blocks.append(Paragraph("; ".join(f"{what}: {which}" for what, which in facts.items()) + "."))
-    return tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),)
 
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:

@@ -123,7 +123,11 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
     """Every parameter that two results or more have, but for those of sliding fits."""
     groups: dict[tuple[str, str], list[Value]] = {}
     for result, identification in results:
-        for listed in single_parameters(identification):
+        # Parameters that occur once for their fit, test and term
+        rows = [listed for listed in listed_parameters(identification) if not of_points(listed.model)]
+        keys = [(listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows]
+        counts = Counter(keys)
+        for listed in [listed for listed, key in zip(rows, keys, strict=True) if counts[key] == 1]:
             values = groups.setdefault((listed.title, listed.parameter.name), [])
             values.append(_value(result, identification, listed))
     return [
@@ -139,14 +143,6 @@ def _series(fit: str, name: str, values: Sequence[Value]) -> CoefficientSeries:
     counted = count_once(amounts, errors, [value.digests for value in values])
     copies = tuple(value for value, counts in zip(values, counted, strict=True) if not counts)
     return CoefficientSeries(fit, name, tuple(_order(list(compress(values, counted)))), copies)
-
-
-def single_parameters(identification: Identification) -> list[ListedParameter]:
-    """Parameters that occur once for their fit, test and term."""
-    rows = [listed for listed in listed_parameters(identification) if not of_points(listed.model)]
-    keys = [(listed.fit, listed.test, listed.term, listed.parameter.name) for listed in rows]
-    counts = Counter(keys)
-    return [listed for listed, key in zip(rows, keys, strict=True) if counts[key] == 1]
 
 
 def _order(values: Sequence[Value]) -> Sequence[Value]:

@@ -73,7 +73,10 @@ BESIDE, BAR = 0.15, 0.3
 def comparison_figures(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> list[Figure]:
     """The figures of its kind, in their order."""
     if comparison.kind == "reciprocity":
-        return _reciprocity(comparison, responses)
+        # |H_ij| over |H_ji| of the pairs that agree best, which are those that are coupled above the noise
+        chosen = sorted(comparison.points, key=lambda point: point.value)[:SHOWN_PAIRS]
+        by_name = {response.name: response for response in responses}
+        return [_pair(comparison, point, by_name[point.test]) for point in chosen if point.test in by_name]
     if comparison.kind in OVER_FREQUENCY:
         return OVER_FREQUENCY[comparison.kind](comparison)
     return [FIGURES[comparison.kind](comparison), *([_overlays(comparison)] if comparison.overlays else [])]
@@ -214,13 +217,6 @@ def _overlay(overlay: Overlay) -> chart.Panel:
         chart.curve("theory times ratio", overlay.frequency, overlay.matched, 2),
     )
     return over_frequency(chart.Axis(f"{overlay.form} (SI)", logarithmic=True), series, title=overlay.test)
-
-
-def _reciprocity(comparison: Comparison, responses: Sequence[FrequencyResponse]) -> list[Figure]:
-    """|H_ij| over |H_ji| of the pairs that agree best, which are those that are coupled above the noise."""
-    chosen = sorted(comparison.points, key=lambda point: point.value)[:SHOWN_PAIRS]
-    by_name = {response.name: response for response in responses}
-    return [_pair(comparison, point, by_name[point.test]) for point in chosen if point.test in by_name]
 
 
 def _pair(comparison: Comparison, point: ComparedPoint, response: FrequencyResponse) -> Figure:

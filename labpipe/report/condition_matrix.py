@@ -157,7 +157,17 @@ def matrix_sections(
     sections: list[Section] = []
     for matrix in matrices:
         sections += [Section(f"Test matrix: {matrix.name}", _matrix_blocks(matrix))]
-        sections += _coefficient_sections(matrix)
+        sections += tuple(
+            Section(
+                f"{name} over {' and '.join(axis.name for axis in matrix.axes)}",
+                (
+                    *([Paragraph(EXPLAINED)] if number == 0 else []),
+                    *coefficient_figures(matrix, name),
+                    _coefficient_table(matrix, name),
+                ),
+            )
+            for number, name in enumerate(matrix.names)
+        )
         if matrix.paths:
             figure, tables = path_figure(matrix), map(_path_table, matrix.paths)
             blocks: tuple[Block, ...] = (Paragraph(PATH_EXPLAINED), figure, *tables)
@@ -211,20 +221,6 @@ def _beside(point: comparison.MatrixPoint) -> tuple[str, ...]:
     return tuple(
         with_error(to_display(entry.value, unit), _size(entry.scatter, unit) or None)
         for entry, unit in zip(point.beside, units, strict=True)
-    )
-
-
-def _coefficient_sections(matrix: comparison.ConditionMatrix) -> tuple[Section, ...]:
-    return tuple(
-        Section(
-            f"{name} over {' and '.join(axis.name for axis in matrix.axes)}",
-            (
-                *([Paragraph(EXPLAINED)] if number == 0 else []),
-                *coefficient_figures(matrix, name),
-                _coefficient_table(matrix, name),
-            ),
-        )
-        for number, name in enumerate(matrix.names)
     )
 
 

@@ -4,7 +4,7 @@ selection.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -85,7 +85,10 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
     """
     sections: list[Section] = []
     stated: list[object] = []
-    for fits in _groups(identification.fits):
+    groups: dict[tuple[str, str, str], list[Fit]] = {}
+    for fit in identification.fits:
+        groups.setdefault((fit.name, fit.term, "" if of_points(fit.model) else fit.test), []).append(fit)
+    for fits in groups.values():
         title, blocks = _result(fits)
         general = [block for block in blocks if _is_general(block)]
         again = [block for block in general if _wording(block) in stated]
@@ -126,13 +129,6 @@ def fit_figures(fit: Fit) -> list[Figure]:
     if _is_mapped(fit) and any(p.std_error is not None for p in fit.parameters):
         shown.append(figures.correlation_figure(fit))
     return shown
-
-
-def _groups(fits: Sequence[Fit]) -> list[list[Fit]]:
-    groups: dict[tuple[str, str, str], list[Fit]] = {}
-    for fit in fits:
-        groups.setdefault((fit.name, fit.term, "" if of_points(fit.model) else fit.test), []).append(fit)
-    return list(groups.values())
 
 
 def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:

@@ -53,7 +53,11 @@ def _coefficient_panel(comparison: Comparison, name: str, tests: Sequence[str]) 
         aside = _aside(comparison, number, len(tests))
         bands = _of(comparison.bands, name, test)
         series += _coefficient(comparison, bands, label, number % PALETTE_SIZE, aside)
-        ends += _focus(bands)
+        # Ends (SI) between which nine values in ten and all of the prediction lie
+        values, predicted = np.array([[band.value, band.other] for band in bands]).T
+        shown = np.concatenate([np.nanquantile(values, [0.05, 0.95]), predicted])
+        margin = 0.25 * float(np.ptp(shown) or np.max(np.abs(shown)) or 1.0)
+        ends += (float(np.min(shown)) - margin, float(np.max(shown)) + margin)
     unit = next(band.unit for band in comparison.bands if band.parameter == name)
     factor = scale_of(unit)
     y = Axis(name, unit_text(unit), low=factor * min(ends), high=factor * max(ends))
@@ -98,14 +102,6 @@ def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int
         values = factor * np.array(part.matched)
         series.append(curve(f"{label}with the fitted unknowns", part.frequency, values, matched, "--"))
     return series
-
-
-def _focus(bands: Sequence[ComparedBand]) -> tuple[float, float]:
-    """Ends (SI) between which nine values in ten and all of the prediction lie."""
-    values, predicted = np.array([[band.value, band.other] for band in bands]).T
-    shown = np.concatenate([np.nanquantile(values, [0.05, 0.95]), predicted])
-    margin = 0.25 * float(np.ptp(shown) or np.max(np.abs(shown)) or 1.0)
-    return float(np.min(shown)) - margin, float(np.max(shown)) + margin
 
 
 def _ratios(bands: Sequence[ComparedBand], colour: int, name: str, aside: float = 0.0) -> Series:

@@ -39,8 +39,7 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
     there = np.isfinite(columns.values)
     values, unit = _in_unit(columns, columns.values[there])
     ends = _in_unit(columns, np.array([limits.centre, limits.low, limits.high]))[0]
-    x = np.arange(1.0, values.size + 1)
-    drawn, how = _draw(x, values, columns, there)
+    drawn, how = _draw(np.arange(1.0, values.size + 1), values, columns, there)
     panel = Panel(
         Axis("tests by date and name"),
         Axis(columns.parameter, legible(unit)),
@@ -138,12 +137,6 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
         Section("Provenance", _provenance(identification)),
     )
     subtitle = f"Report of {index.tests + index.failed} tests, labpipe {identification.version}"
-    return Document(identification.title, subtitle, sections, _cover(identification, index, tests))
-
-
-def _cover(
-    identification: Identification, index: DatasetIndex, tests: ManyTests
-) -> tuple[tuple[str, str], ...]:
     dates = sorted(
         {date for columns in tests.parameters for date in (*columns.dates[:1], *columns.dates[-1:])}
     )
@@ -155,7 +148,12 @@ def _cover(
         "pipeline": identification.pipeline,
         "computed by": f"labpipe {identification.version}",
     }
-    return tuple((what, which) for what, which in facts.items() if which)
+    return Document(
+        identification.title,
+        subtitle,
+        sections,
+        tuple((what, which) for what, which in facts.items() if which),
+    )
 
 
 def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block, ...]:

@@ -95,8 +95,7 @@ def _series(spectra: ChannelSpectra, noise: FloatArray, number: int, column: int
     channel, colour = spectra.channels[number], column % chart.PALETTE_SIZE
     factor = scale_of(channel.unit)
     size = np.abs(spectra.vectors[:, :, number])
-    above = factor * np.where(size > noise[:, :, number], size, np.nan)
-    for amplitude in above.T:
+    for amplitude in (factor * np.where(size > noise[:, :, number], size, np.nan)).T:
         yield chart.dots(channel.name, spectra.frequency, amplitude, colour, size=2.0)
     typical = factor * _positive(np.sqrt(np.mean(noise[:, :, number] ** 2, axis=1)))
     yield chart.curve(f"{channel.name} noise", spectra.frequency, typical, colour, ":", width=0.8)
@@ -123,8 +122,7 @@ def _orbit_figures(spectra: ChannelSpectra) -> Iterator[Figure]:
         sense = "a negative minor axis turns backward, from y to x"
         caption = f"Half axes of the orbits of {names} in every run at each line; {sense}."
         graphic = chart.stack([over_frequency(chart.Axis("half axis", unit), series)], 2.8)
-        alternative = f"Half axes of the orbits of {names} of {_of(spectra)}"
-        yield Figure(graphic, caption, alternative)
+        yield Figure(graphic, caption, f"Half axes of the orbits of {names} of {_of(spectra)}")
 
 
 def half_axes(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:

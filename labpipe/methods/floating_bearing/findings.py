@@ -80,8 +80,7 @@ def remedy(group: Sequence[str]) -> str:
     the motion are in it.
     """
     ends = [name.partition("_")[2][:2] for name in group]
-    motions = {end[1] for end in ends if end in AXES}
-    if len(motions) > 1:
+    if len({end[1] for end in ends if end in AXES}) > 1:
         return (
             "let the forces act in two ways, since x and y move in proportion here: a recording with the "
             "force in x and one in y, two with both of one sign and of opposite signs, or one with every "

@@ -406,16 +406,6 @@ class DynamicStiffnessSettings(Settings):
         if self.rotor_mass is not None and self.rotor_mass.value <= 0:
             raise SettingError("rotor_mass", "'rotor_mass' is that of a rotor, above zero")
         self.require_positive("band_width", "rotor_stiffness", "load", "clearance", *OF_SOMMERFELD)
-        self._check_companions()
-        if not self.forms:
-            raise SettingError("forms", "'forms' names none", f"for example [{', '.join(COMPARED)}]")
-        for form in self.forms:
-            if form not in FORMS:
-                raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))
-        if self.band_width is not None and self.form != BANDS:
-            raise SettingError("band_width", "'band_width' goes with form: bands", "leave it out")
-
-    def _check_companions(self) -> None:
         for name, of, other in (
             ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
             *((name, "a clearance", "clearance") for name in ("load", *OF_SOMMERFELD)),
@@ -423,6 +413,13 @@ class DynamicStiffnessSettings(Settings):
         ):
             if getattr(self, name) is not None and getattr(self, other) is None:
                 raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
+        if not self.forms:
+            raise SettingError("forms", "'forms' names none", f"for example [{', '.join(COMPARED)}]")
+        for form in self.forms:
+            if form not in FORMS:
+                raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))
+        if self.band_width is not None and self.form != BANDS:
+            raise SettingError("band_width", "'band_width' goes with form: bands", "leave it out")
 
 
 def _fit(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

@@ -161,8 +161,7 @@ def line_stiffness(balance: likelihood.Balance) -> LineStiffness:
     """H of every line from two or more runs; FitError where the runs of a line move in one direction.
     Equation (ds-line).
     """
-    n_run = balance.motion.shape[1]
-    if n_run < 2:
+    if balance.motion.shape[1] < 2:
         what = "least squares needs two runs with independent forces at every line, there is one"
         raise FitError(what, hint="estimator: ml needs one run only")
     motion = balance.motion.swapaxes(-1, -2)

@@ -72,10 +72,24 @@ def whirl(
     )
     along = float(2 * polynomial[0] * square + polynomial[1])
     square_slopes = -(slopes @ np.array([square**2, square, 1.0])) / along
+    # All x around the root where phi(x)^2 < limit^2 var phi(x) of the quadratic phi
+    slope = 2 * polynomial[0] * square + polynomial[1]
+    powers = slopes @ np.array([square**2, square, 1.0])
+    error = float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope))
+    unit = max(abs(square), error, np.finfo(float).tiny)
+    scales = np.array([unit**2, unit, 1.0])
+    scaled = polynomial * scales
+    spread = (slopes * scales).T @ covariance @ (slopes * scales)
+    variance = np.zeros(5)
+    for (i, j), part in np.ndenumerate(spread):
+        variance[i + j] += part
+    roots = np.roots(np.convolve(scaled, scaled) - limit**2 * variance)
+    real = unit * np.sort(roots[np.abs(roots.imag) <= REAL * np.maximum(np.abs(roots), 1e-9)].real)
+    below, above = real[real <= square], real[real >= square]
     return Whirl(
         square,
         square_slopes,
-        _fieller(polynomial, slopes, covariance, square, limit),
+        (float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf),
         float(stiffness[0] + stiffness[1] * square),
         np.asarray(of_stiffness @ np.array([1.0, square]) + stiffness[1] * square_slopes),
     )
@@ -107,26 +121,6 @@ def _root(polynomial: FloatArray) -> float | None:
     if inside < 0 or first == 0:
         return None
     return -2 * constant / (first + np.copysign(np.sqrt(inside), first))
-
-
-def _fieller(
-    polynomial: FloatArray, slopes: FloatArray, covariance: FloatArray, square: float, limit: float
-) -> tuple[float, float]:
-    """All x around the root where phi(x)^2 < limit^2 var phi(x) of the quadratic phi."""
-    slope = 2 * polynomial[0] * square + polynomial[1]
-    powers = slopes @ np.array([square**2, square, 1.0])
-    error = float(np.sqrt(powers @ covariance @ powers)) / abs(float(slope))
-    unit = max(abs(square), error, np.finfo(float).tiny)
-    scales = np.array([unit**2, unit, 1.0])
-    scaled = polynomial * scales
-    spread = (slopes * scales).T @ covariance @ (slopes * scales)
-    variance = np.zeros(5)
-    for (i, j), part in np.ndenumerate(spread):
-        variance[i + j] += part
-    roots = np.roots(np.convolve(scaled, scaled) - limit**2 * variance)
-    real = unit * np.sort(roots[np.abs(roots.imag) <= REAL * np.maximum(np.abs(roots), 1e-9)].real)
-    below, above = real[real <= square], real[real >= square]
-    return float(below[-1]) if below.size else -np.inf, float(above[0]) if above.size else np.inf
 
 
 # Frequencies at which a change of sign is looked for: from this share of the lowest line to that of the

@@ -259,8 +259,7 @@ def motions(
         rig.stator_mass * np.eye(2), rig.baseline_stiffness, rig.baseline_damping, omega
     )
     shaft = dynamic_stiffness(rig.shaft_mass * np.eye(2), rig.shaft_stiffness, rig.shaft_damping, omega)
-    system = np.block([[stator + h, -h], [-h, shaft + h]])
-    moved = np.linalg.solve(system, forces[:, :, None])[:, :, 0]
+    moved = np.linalg.solve(np.block([[stator + h, -h], [-h, shaft + h]]), forces[:, :, None])[:, :, 0]
     return moved[:, :2], moved[:, 2:]
 
 
@@ -325,8 +324,7 @@ def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatA
 
 def _periodic(rig: FloatingRig, shares: tuple[float, float], zipper: bool = False) -> ComplexArray:
     design = design_multisine(rig.band, rig.spacing, rig.force)
-    size = (design.lines * design.spacing) ** rig.slope
-    amplitude = size * np.exp(1j * design.phases)
+    amplitude = (design.lines * design.spacing) ** rig.slope * np.exp(1j * design.phases)
     both = amplitude[:, None] * np.array(shares)
     if zipper:
         both = both * (np.arange(design.lines.size)[:, None] % 2 == np.arange(2))
@@ -376,8 +374,7 @@ def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
 
 
 def _parameters(rig: FloatingRig, runs: Sequence[str]) -> Truth:
-    conditions = dict.fromkeys(run.rpartition("-")[0] for run in runs)
-    if len(conditions) != 1:
+    if len(dict.fromkeys(run.rpartition("-")[0] for run in runs)) != 1:
         hint = "for example runs: [seal-plus, seal-minus]"
         raise ConfigError("'runs' of one condition belong to one fit", hint=hint)
     return _coefficients_by_name(rig, rig.condition(runs[0]))

@@ -358,7 +358,18 @@ def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf
             for values in (omega, matrix)
         )
     diagram, start = looks[-1] if looks[-1][0].modes.values.size else looks[0]
-    _check_start(start, lines, highest, modal)
+    if not start.values.size:
+        what, hint = f"no order up to {highest} has a pole", "choose another band"
+        if not modal.poles:
+            what = f"no pole returns in a quarter of the orders up to {highest}"
+            hint = f"{hint}, or name `poles` by hand"
+        raise FitError(f"{what}: no mode stands out of the noise of this band", hint=hint)
+    if np.unique(start.values).size < start.values.size:
+        what = "two of the named poles are one and the same pole of the data"
+        raise FitError(what, hint="name each mode once")
+    if lines.omega.size < LINES_PER_ORDER * start.values.size:
+        what = f"{lines.omega.size} lines cannot hold {start.values.size} modes"
+        raise FitError(what, hint="widen the band")
     return diagram, start
 
 
@@ -379,21 +390,6 @@ def _by_hand(
             what = f"the pole {pole:g} Hz lies outside the band"
             raise SettingError("poles", what, f"the lines go from {low:g} to {high:g} Hz")
     return lscf.nearest_modes(equations, 2 * np.pi * np.sort(modal.poles), highest)
-
-
-def _check_start(start: lscf.Poles, lines: Lines, highest: int, modal: ModalSettings) -> None:
-    if not start.values.size:
-        what, hint = f"no order up to {highest} has a pole", "choose another band"
-        if not modal.poles:
-            what = f"no pole returns in a quarter of the orders up to {highest}"
-            hint = f"{hint}, or name `poles` by hand"
-        raise FitError(f"{what}: no mode stands out of the noise of this band", hint=hint)
-    if np.unique(start.values).size < start.values.size:
-        what = "two of the named poles are one and the same pole of the data"
-        raise FitError(what, hint="name each mode once")
-    if lines.omega.size < LINES_PER_ORDER * start.values.size:
-        what = f"{lines.omega.size} lines cannot hold {start.values.size} modes"
-        raise FitError(what, hint="widen the band")
 
 
 def _parameters(

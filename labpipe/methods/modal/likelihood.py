@@ -228,8 +228,7 @@ class _State:
         change = step[2 * self.n_mode :]
         rows, columns = _free(self.participation)
         participation[rows, columns] += change[0::2] + 1j * change[1::2]
-        sums = _sums(self.terms, poles)
-        return replace(self, sums=sums, poles=poles, participation=participation)
+        return replace(self, sums=_sums(self.terms, poles), poles=poles, participation=participation)
 
     def _shapes(self) -> tuple[ComplexArray, FloatArray]:
         """Shapes (n_output, n_mode) of least misfit, imaginary of real modes, and the inverse of their normal

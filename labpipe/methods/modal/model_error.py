@@ -170,8 +170,7 @@ def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple
 
 def frequency_correlation(refined: Refined) -> FloatArray:
     """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
-    n = refined.poles.size
-    slopes = np.zeros((2 * n, refined.covariance.shape[0]))
+    slopes = np.zeros((2 * refined.poles.size, refined.covariance.shape[0]))
     for row, mode in enumerate(_ascending(refined)):
         values, _ = _pole_and_residue(refined, mode, None)
         for number, (_, _, function) in enumerate(_of_pole(refined)):

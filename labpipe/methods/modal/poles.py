@@ -126,15 +126,13 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
 def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
     """Real part of the sums over lines of z^m *values*, m from -highest to highest."""
     forward = (lags.T @ values).real
-    backward = (lags.conj().T @ values).real
-    return np.concatenate([backward[:0:-1], forward])
+    return np.concatenate([(lags.conj().T @ values).real[:0:-1], forward])
 
 
 def _solve(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     """Without the eigenvalues that rounding leaves of zero: noise-free data make the matrix singular."""
     try:
-        factor = np.linalg.cholesky(matrix)
-        diagonal = np.diag(factor)
+        diagonal = np.diag(np.linalg.cholesky(matrix))
         if diagonal.min() ** 2 > ROUNDING * diagonal.max() ** 2:
             return np.asarray(np.linalg.solve(matrix, right_side))
     except np.linalg.LinAlgError:

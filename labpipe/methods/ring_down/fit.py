@@ -67,8 +67,7 @@ def peak_decrement(samples: FloatArray, rate: float, frequency: float) -> float 
     than three peaks. rate, frequency [Hz]. Equation (decay-peaks).
     """
     period = rate / frequency
-    count = int(samples.size / period)
-    ends = np.rint(np.arange(count + 1) * period).astype(int)
+    ends = np.rint(np.arange(int(samples.size / period) + 1) * period).astype(int)
     peaks = np.array([np.max(samples[low:high]) for low, high in pairwise(ends)])
     small = np.flatnonzero(peaks <= DOWN_TO * peaks[:1])
     peaks = peaks[: small[0]] if small.size else peaks

@@ -378,10 +378,7 @@ def pencil_poles(
     poles = poles[(poles.imag > low) & (poles.imag < high) & (np.abs(poles.real) < poles.imag)]
     if poles.size < n_mode:
         return None
-    return np.asarray(poles[np.argsort(-_energy(series, poles / rate))[:n_mode]])
-
-
-def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
+    steps = poles / rate
     energy = np.zeros(steps.size)
     for samples in series:
         course = np.exp(np.arange(samples.size)[:, None] * (np.minimum(steps.real, 0.0) + 1j * steps.imag))
@@ -389,7 +386,7 @@ def _energy(series: Sequence[FloatArray], steps: ComplexArray) -> FloatArray:
         factors = np.linalg.lstsq(both, samples, rcond=None)[0]
         sizes = np.hypot(factors[: steps.size], factors[steps.size :])
         energy += sizes**2 * np.sum(np.abs(course) ** 2, axis=0)
-    return energy
+    return np.asarray(poles[np.argsort(-energy)[:n_mode]])
 
 
 def _decimate(
@@ -515,8 +512,7 @@ def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:
         n = series.shape[0]
         lags = min(LAGS, n // ROWS_PER_LAG)
         for column in series.T:
-            power = fft.fft(column, 2 * n)
-            likeness = fft.ifft(np.abs(power) ** 2)[: lags + 1]
+            likeness = fft.ifft(np.abs(fft.fft(column, 2 * n)) ** 2)[: lags + 1]
             ratios = np.abs(likeness[1:] / likeness[0].real) ** 2
             statistic += float(n * (n + 2) * np.sum(ratios / (n - np.arange(1, lags + 1))))
             dof += lags

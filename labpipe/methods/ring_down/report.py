@@ -25,10 +25,6 @@ def ring_down_figures(fit: Fit, shown: RingDown) -> list[Figure]:
         for n, mode in enumerate(shown.modes, start=1)
         if mode.amplitude.size > 1
     ]
-    return [decay_figure(fit, shown), *modes]
-
-
-def decay_figure(fit: Fit, shown: RingDown) -> Figure:
     time, factor, unit = Axis("time in the recording", "s"), scale_of(shown.unit), unit_text(shown.unit)
     measured = curve("measured", shown.time, factor * shown.measured, 0)
     fitted = curve("fitted", shown.time, factor * shown.fitted, 1, "--", width=0.8)
@@ -42,7 +38,7 @@ def decay_figure(fit: Fit, shown: RingDown) -> Figure:
         "those fitted, and what the fit leaves of it. A residual that swells and fades with the decay shows "
         "that one exponential per mode does not say it all."
     )
-    return Figure(stack(panels, 4.2), caption, f"Free decay of fit {fit_title(fit)}")
+    return [Figure(stack(panels, 4.2), caption, f"Free decay of fit {fit_title(fit)}"), *modes]
 
 
 def over_amplitude_figure(fit: Fit, shown: RingDown, number: int, mode: OverAmplitude) -> Figure:

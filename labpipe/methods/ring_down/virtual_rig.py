@@ -64,8 +64,7 @@ def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[R
 
 
 def _run(rig: DecayRig, name: str, rng: np.random.Generator) -> Recording:
-    count = round(rig.interval * rig.sample_rate)
-    time = np.arange(count) / rig.sample_rate
+    time = np.arange(round(rig.interval * rig.sample_rate)) / rig.sample_rate
     quiet = np.zeros(round(PRETRIGGER * rig.sample_rate))
     motions = [
         rig.amplitude * rig.weaker**hit * motion(rig, name, time, rig.weaker**hit) for hit in range(rig.hits)

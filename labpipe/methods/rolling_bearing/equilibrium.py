@@ -31,48 +31,6 @@ from labpipe.methods.rolling_bearing.loads import (
 )
 
 
-def _check_rollers(bearing: RollingBearing, loads: FloatArray, fixed_dofs: Sequence[str]) -> None:
-    """ConfigError for dofs without support: rollers at a fixed contact angle resist three motions, at 0 deg
-    two.
-    """
-    loose = [name for name in ("bx", "by") if name not in fixed_dofs]
-    if loose:
-        what = f"rollers at a fixed contact angle leave the tilt {loose[0]} without support"
-        raise ConfigError(what, hint=f"hold it: displacements.{loose[0]}")
-    if bearing.contact_angle == 0 and "z" not in fixed_dofs:
-        if np.any(loads[:, 2] != 0):
-            what = "rollers at contact angle 0 carry no axial load"
-            raise ConfigError(what, hint="remove loads.z, or give a contact angle")
-        what = "rollers at contact angle 0 leave z without support"
-        raise ConfigError(what, hint="hold it: displacements.z")
-
-
-def check_carried(bearing: RollingBearing, at: Contacts) -> None:
-    """FitError where the deflection exceeds the range of Hertzian contact, or the contact angle exceeds 90
-    deg.
-    """
-    for case, element in np.argwhere(at.deflection > bearing.reach)[:1].tolist():
-        what = f"is pressed in by {1e6 * at.deflection[case, element]:.4g} um"
-        hint = f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements"
-        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
-    for case, element in np.argwhere((at.deflection > 0) & (at.cos < 0))[:1].tolist():
-        what = "carries at a contact angle beyond 90 deg: the rings have come apart"
-        hint = "the bearing cannot carry this load"
-        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
-
-
-def explain_failure(bearing: RollingBearing, loads: FloatArray, case: int) -> None:
-    """Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]."""
-    acting = ", ".join(
-        f"{name} {amount:.4g} {unit}"
-        for name, amount, unit in zip(LOADS, loads[case], LOAD_UNITS, strict=True)
-        if amount
-    )
-    what = f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}"
-    of_rollers = "the load does not press the elements onto their tracks"
-    raise FitError(what, hint="check the size of the loads" if bearing.is_ball else of_rollers)
-
-
 def _case(case: int, n_case: int) -> str:
     return f"load case {case + 1}: " if n_case > 1 else ""
 
@@ -297,7 +255,18 @@ def equilibrium(
     f, q = (np.atleast_2d(np.asarray(values, np.float64)) for values in (loads, displacements))
     cage = np.asarray(cage_angle, np.float64)
     if not bearing.is_ball:
-        _check_rollers(bearing, f, fixed_dofs)
+        # ConfigError for dofs without support: rollers at a fixed contact angle resist three motions, at 0
+        # deg two
+        loose = [name for name in ("bx", "by") if name not in fixed_dofs]
+        if loose:
+            what = f"rollers at a fixed contact angle leave the tilt {loose[0]} without support"
+            raise ConfigError(what, hint=f"hold it: displacements.{loose[0]}")
+        if bearing.contact_angle == 0 and "z" not in fixed_dofs:
+            if np.any(f[:, 2] != 0):
+                what = "rollers at contact angle 0 carry no axial load"
+                raise ConfigError(what, hint="remove loads.z, or give a contact angle")
+            what = "rollers at contact angle 0 leave z without support"
+            raise ConfigError(what, hint="hold it: displacements.z")
     n_case = max(len(f), len(q), cage.size)
     if np.all(cage == cage.flat[0]):
         cage = cage.reshape(-1)[0]  # one frame for all cases
@@ -331,7 +300,17 @@ def _solve_part(
     problem = Problem(bearing, frame, np.where(free, f[part] / scale, 0.0), np.flatnonzero(free))
     u, solved = solve(problem, np.where(free, 0.0, q[part] * scale))
     if not solved.all():
-        explain_failure(bearing, np.where(free, f, 0.0), part.start + int(np.flatnonzero(~solved)[0]))
+        # Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]
+        loads = np.where(free, f, 0.0)
+        case = part.start + int(np.flatnonzero(~solved)[0])
+        acting = ", ".join(
+            f"{name} {amount:.4g} {unit}"
+            for name, amount, unit in zip(LOADS, loads[case], LOAD_UNITS, strict=True)
+            if amount
+        )
+        what = f"{_case(case, len(loads))}no rest position: the bearing cannot carry {acting or 'no load'}"
+        of_rollers = "the load does not press the elements onto their tracks"
+        raise FitError(what, hint="check the size of the loads" if bearing.is_ball else of_rollers)
     return u / scale
 
 
@@ -340,6 +319,15 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
         return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
 
     at = Contacts(**joined([part.contacts for part in parts], (field.name for field in fields(Contacts))))
-    check_carried(parts[0].bearing, at)
+    # FitError where the deflection exceeds the range of Hertzian contact, or the angle exceeds 90 deg
+    bearing = parts[0].bearing
+    for case, element in np.argwhere(at.deflection > bearing.reach)[:1].tolist():
+        what = f"is pressed in by {1e6 * at.deflection[case, element]:.4g} um"
+        hint = f"the model holds up to {1e6 * bearing.reach:.4g} um: check loads and displacements"
+        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
+    for case, element in np.argwhere((at.deflection > 0) & (at.cos < 0))[:1].tolist():
+        what = "carries at a contact angle beyond 90 deg: the rings have come apart"
+        hint = "the bearing cannot carry this load"
+        raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
     arrays = joined(parts, ("displacement", "load", "stiffness", "angles"))
     return replace(parts[0], contacts=at, **arrays)

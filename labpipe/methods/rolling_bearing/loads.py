@@ -65,8 +65,7 @@ class RollingBearing:
                 raise SettingError(name, f"{name} must be above zero, found {amount:g}")
         if not abs(self.contact_angle) < np.pi / 2:
             raise SettingError("contact_angle", "the contact angle must lie between -90 and 90 deg")
-        radial = (self.groove_distance or np.inf) * np.cos(self.contact_angle)
-        if self.clearance >= radial:
+        if self.clearance >= (self.groove_distance or np.inf) * np.cos(self.contact_angle):
             what = "the clearance is larger than the groove centres' radial distance"
             raise SettingError("clearance", what, "it is the radial clearance")
 

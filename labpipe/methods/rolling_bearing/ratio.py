@@ -369,8 +369,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     mean = weighted_mean(logs, errors, changes)
     stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
-    change = weighted_fit(columns, logs, errors, changes)
-    slope, *ends = change.stated(1)
+    slope, *ends = weighted_fit(columns, logs, errors, changes).stated(1)
     exponent = with_error("exponent", "1", 1 + slope, *ends)
     if mean.p_value is None:
         raise FitError("one test cannot show whether damping is proportional to stiffness")
@@ -434,8 +433,7 @@ def ratio_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:
     if settings.theory is None:
         raise ConfigError("a ratio needs a theory", hint="theory: {bearing: FILE}")
     campaign = evidence.campaign(settings, "k")
-    solved = _match(campaign, evidence)
-    return stiffness_ratio(campaign, *solved, _bending_error(settings))
+    return stiffness_ratio(campaign, *_match(campaign, evidence), _bending_error(settings))
 
 
 def rayleigh_of_tests(settings: CompareSettings, evidence: Evidence) -> Comparison:

@@ -110,8 +110,7 @@ def point_contact(along: float, across: float, first: Material = STEEL, second: 
     k = ellipse_ratio(min(along, across) / max(along, across))
     first_kind, second_kind = float(special.ellipk(1 - k**2)), float(special.ellipe(1 - k**2))
     size = (np.pi * modulus * (along + across) / (3 * k * second_kind)) ** (1 / 3)
-    per_load = 3 * k * first_kind / (2 * np.pi * modulus) * size
-    return float(per_load ** (-3 / 2))
+    return float((3 * k * first_kind / (2 * np.pi * modulus) * size) ** (-3 / 2))
 
 
 def ellipse_ratio(curvature_ratio: float) -> float:

@@ -252,8 +252,7 @@ class Stability:
         d lambda = y^T (dA) x / (y^T x) with left and right eigenvectors y, x of A. Equation
         (rotor-least-stable).
         """
-        system = self.system(np.array([speed]), stiffness, damping)[0]
-        roots, vectors = np.linalg.eig(system)
+        roots, vectors = np.linalg.eig(self.system(np.array([speed]), stiffness, damping)[0])
         chosen = int(np.argmax(np.where(self.moving(vectors) & (roots.imag >= 0), roots.real, -np.inf)))
         n, place = self.rotor.n_dof, self.rotor.dofs(self.bearing)
         # Rows of the inverse of the right eigenvectors are the left ones, y^T x = 1.
@@ -266,8 +265,7 @@ class Stability:
 
     def moving(self, vectors: ComplexArray) -> BoolArray:
         """Modes (..., n_mode) with motion of the journal; *vectors* (..., 2 n_dof, n_mode) [any unit]."""
-        n = self.rotor.n_dof
-        squares = np.abs(vectors[..., :n, :]) ** 2
+        squares = np.abs(vectors[..., : self.rotor.n_dof, :]) ** 2
         whole = squares[..., 0::4, :].sum(axis=-2) + squares[..., 1::4, :].sum(axis=-2)
         share = squares[..., self.rotor.dofs(self.bearing), :].sum(axis=-2) / np.maximum(whole, 1e-300)
         return share > LEAST_PARTICIPATION

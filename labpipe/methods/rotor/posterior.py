@@ -199,7 +199,6 @@ def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:
     Equation (run-rank).
     """
     singular = np.linalg.svd(slopes, compute_uv=False)
-    significant = singular > RANK_TOLERANCE * singular[..., :1]
-    rank = significant.sum(axis=-1)
+    rank = (singular > RANK_TOLERANCE * singular[..., :1]).sum(axis=-1)
     smallest = np.take_along_axis(singular, rank[..., None] - 1, axis=-1)[..., 0]
     return rank, singular[..., 0] / smallest

@@ -246,11 +246,7 @@ def rotor_figure(rig: Mapping[str, Any]) -> Figure:
     )
     if rig["rotor"]["discs"]:
         caption += " Discs have the outline of a cylinder with their mass and moments of inertia."
-    return Figure(rotor_chart(rig), caption, f"Drawing of the rotor {rig['name']} with its bearings")
-
-
-def rotor_chart(rig: Mapping[str, Any]) -> chart.Chart:
-    """The rotor over the length of the shaft [mm]; parts that lie within others are drawn on them."""
+    # The rotor over the length of the shaft [mm]; parts that lie within others are drawn on them
     rings, stations = rotor_rings(rig), MM * np.array(node_positions(rig["rotor"]))
     reach, n = _reach(rings), stations.size
     low = -reach * np.resize([ODD_NUMBERS, EVEN_NUMBERS], n)
@@ -271,7 +267,11 @@ def rotor_chart(rig: Mapping[str, Any]) -> chart.Chart:
         ]
     along = chart.Axis("along the shaft", "mm", -0.03 * stations[-1], 1.03 * stations[-1])
     across = chart.Axis("radius", "mm", -2.3 * reach, 2.1 * reach)
-    return chart.stack([chart.Panel(along, across, tuple(series))], HEIGHT, "above")
+    return Figure(
+        chart.stack([chart.Panel(along, across, tuple(series))], HEIGHT, "above"),
+        caption,
+        f"Drawing of the rotor {rig['name']} with its bearings",
+    )
 
 
 def _draw(ring: Ring) -> list[chart.Series]:
@@ -398,8 +398,7 @@ def listed_peaks(runs: UnbalanceRuns) -> Iterator[ListedParameter]:
     """Peaks [m] and their speeds [Hz] of every state of wear."""
     for case in runs.cases:
         for name, (value, unit) in runs.values(case).items():
-            error = case.error(name)
-            parameter = Parameter(name, value, unit, derived=True, std_error=error)
+            parameter = Parameter(name, value, unit, derived=True, std_error=case.error(name))
             yield ListedParameter(fit="unbalance", parameter=parameter, test=case.name, model="unbalance")
 
 

@@ -254,7 +254,18 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
         for n, node in enumerate(nodes)
         for critical in peaks(fine, amplitude[:, n], node, of_node(n))
     ]
-    return replace(theory, criticals=_distinct(criticals), fine=fine, amplitude=amplitude, nodes=tuple(nodes))
+    # Peaks that are alike are one critical speed, told where it is sharpest
+    kept: list[Critical] = []
+    for critical in sorted(criticals, key=lambda c: -(c.amplification or 0.0)):
+        if not any(critical.is_like(other) for other in kept):
+            kept.append(critical)
+    return replace(
+        theory,
+        criticals=tuple(sorted(kept, key=lambda critical: critical.speed)),
+        fine=fine,
+        amplitude=amplitude,
+        nodes=tuple(nodes),
+    )
 
 
 def peaks(
@@ -292,15 +303,6 @@ def peaks(
             high = float(scipy.optimize.brentq(crossing, speed[n + above[0] - 1], speed[n + above[0]]))
         criticals.append(Critical(top, height, node, low, high))
     return criticals
-
-
-def _distinct(criticals: Sequence[Critical]) -> tuple[Critical, ...]:
-    """Peaks that are alike are one critical speed, told where it is sharpest."""
-    kept: list[Critical] = []
-    for critical in sorted(criticals, key=lambda c: -(c.amplification or 0.0)):
-        if not any(critical.is_like(other) for other in kept):
-            kept.append(critical)
-    return tuple(sorted(kept, key=lambda critical: critical.speed))
 
 
 # Logarithmic decrement that API 617 level I asks for at the operating speed.

@@ -184,7 +184,29 @@ def evidence_of(
 ) -> evidence.SystemEvidence:
     """What a *test* says of the unknowns: its *reading*, or what its entries state."""
     if isinstance(reading, Measured):
-        return _responses(test, reading, built, system)
+        outputs, inputs = (
+            tuple(_dof(system, _place(test, port.dof, port.label)) for port in ports)
+            for ports in (reading.outputs, reading.inputs)
+        )
+        assert reading.variance is not None
+        # A window spreads the noise of a line over its neighbours.
+        error = np.sqrt(reading.shared_noise * reading.variance / 2)
+        return evidence.Responses(
+            test.name,
+            reading.omega,
+            outputs,
+            inputs,
+            reading.matrix,
+            error.reshape(reading.matrix.shape),
+            spin=2 * np.pi * test.speed,
+            supported=not test.free,
+            gains=built.gains[test.name],
+            changes={
+                built.sources[error.uncertainty.source]: error.change
+                for error in matrix_errors(reading, directions=True)
+            },
+            shared=reading.shared_noise,
+        )
     if reading is not None:
         return _vectors(test, reading, built, system)
     return free_modes_of(test, work) if test.has_modes else _deflections(test, system)
@@ -262,34 +284,6 @@ def measured_of(test: SystemTest, response: FrequencyResponse) -> Measured:
         raise DataError(f"test '{test.name}': the noise of its FRF is zero", hint="state its variance")
     rows, columns = (list(range(n)) for n in response.matrix.shape[1:])
     return measured_part(response, rows, columns, kept)
-
-
-def _responses(
-    test: SystemTest, measured: Measured, built: build.Built, system: build.RotorSystem
-) -> evidence.Responses:
-    outputs, inputs = (
-        tuple(_dof(system, _place(test, port.dof, port.label)) for port in ports)
-        for ports in (measured.outputs, measured.inputs)
-    )
-    assert measured.variance is not None
-    # A window spreads the noise of a line over its neighbours.
-    error = np.sqrt(measured.shared_noise * measured.variance / 2)
-    return evidence.Responses(
-        test.name,
-        measured.omega,
-        outputs,
-        inputs,
-        measured.matrix,
-        error.reshape(measured.matrix.shape),
-        spin=2 * np.pi * test.speed,
-        supported=not test.free,
-        gains=built.gains[test.name],
-        changes={
-            built.sources[error.uncertainty.source]: error.change
-            for error in matrix_errors(measured, directions=True)
-        },
-        shared=measured.shared_noise,
-    )
 
 
 def _interlacing(settings: RotorSystemSettings, system: build.RotorSystem, work: Work) -> Iterator[Finding]:
@@ -383,15 +377,6 @@ def declared_result(system: build.RotorSystem, speeds: FloatArray) -> records.Ro
     return system_result(system, built, posterior, speeds, predictions.DRAWS // 2, 1)
 
 
-def _unbalanced(posterior: SystemPosterior, built: build.Built) -> SystemPosterior:
-    """No unbalance in the middle, as without a run-up, makes no peak: that of its uncertainty does."""
-    values = posterior.values.copy()
-    for _, real, imaginary in built.planes.values():
-        if values[real] == values[imaginary] == 0:
-            values[real] = built.model.errors[real]
-    return replace(posterior, values=values)
-
-
 def system_result(
     system: build.RotorSystem,
     built: build.Built,
@@ -416,7 +401,12 @@ def system_result(
     if built.planes:
         nodes = sorted({rig.response, *built.planes, *(place.node for place in rig.bearings)})
         outputs = [dof for node in nodes for dof in rig.rotor.dofs(node)]
-        shaken = _unbalanced(posterior, built)
+        # No unbalance in the middle, as without a run-up, makes no peak: that of its uncertainty does
+        values = posterior.values.copy()
+        for _, real, imaginary in built.planes.values():
+            if values[real] == values[imaginary] == 0:
+                values[real] = built.model.errors[real]
+        shaken = replace(posterior, values=values)
         criticals = predictions.critical_speeds(shaken, built, band, rig.speed, outputs, n_draw, seed)
     return records.RotorSystemResult(
         rig.name,

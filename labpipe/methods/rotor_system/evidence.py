@@ -327,8 +327,7 @@ class Deflections(_RobustTest):
         if np.isfinite(self.mass):
             rigid = np.zeros((1, model.n_dof))
             rigid[0, 0 : model.n_shaft : 4] = 1
-            whole = model.matrices(acting, 0.0, supported=False).mass
-            mass = float((rigid @ whole @ rigid.T)[0, 0])
+            mass = float((rigid @ model.matrices(acting, 0.0, supported=False).mass @ rigid.T)[0, 0])
             moved = model.slopes(acting, 0.0, rigid, rigid.T, 1.0, supported=False)[:, 0, 0].real / mass
             parts.append(((self.mass - np.log([mass])) / self.mass_error, -moved[None] / self.mass_error))
         residual, jacobian = (np.concatenate(both) for both in zip(*parts, strict=True))

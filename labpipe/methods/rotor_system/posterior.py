@@ -266,8 +266,7 @@ def pulls(posterior: SystemPosterior) -> list[Pull]:
     for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
         without = np.linalg.inv(information - jacobian.T @ jacobian)
         shift = without @ jacobian.T @ residual
-        change = without - posterior.covariance
-        spread = np.sqrt(np.maximum(np.diag(change), 1e-30))
+        spread = np.sqrt(np.maximum(np.diag(without - posterior.covariance), 1e-30))
         # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
         z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
         worst = int(np.argmax(np.abs(z)))

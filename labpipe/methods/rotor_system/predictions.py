@@ -134,8 +134,7 @@ class _Reduced:
         if linalg.eigvalsh(stiffness, subset_by_index=[0, 0])[0] <= 0:
             stiffness = model.matrices(values, spin, supported=False).stiffness
             stiffness[carried, carried] += np.abs(np.diag(whole.stiffness - stiffness))[carried]
-        first = max(0, n - BASIS)
-        _, vectors = linalg.eigh(whole.mass, stiffness, subset_by_index=[first, n - 1])
+        _, vectors = linalg.eigh(whole.mass, stiffness, subset_by_index=[max(0, n - BASIS), n - 1])
         static = np.linalg.solve(whole.stiffness, np.eye(model.n_dof)[:, carried])
         self.basis = orthonormal(np.column_stack([vectors, static]), 1e-8)
         n_shape = self.basis.shape[1]

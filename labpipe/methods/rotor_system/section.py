@@ -51,15 +51,6 @@ def _amounts(result: RotorSystemResult) -> dict[str, tuple[float, float | None, 
     return amounts
 
 
-def _decisions(result: RotorSystemResult) -> dict[str, str]:
-    decisions = {
-        f"margin_{place}": decision(critical.met)
-        for place, critical in enumerate(result.criticals, 1)
-        if critical.met is not None
-    }
-    return decisions | {"decrement": decision(result.decrement[2])}
-
-
 def _error(interval: tuple[float, float]) -> float:
     return (interval[1] - interval[0]) / (2 * NORMAL)
 
@@ -74,7 +65,12 @@ def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber
     """
     if rule.item == "warnings":
         return rule.outcome(*compare_warnings(rule, result.findings))
-    decisions = _decisions(result)
+    decisions = {
+        f"margin_{place}": decision(critical.met)
+        for place, critical in enumerate(result.criticals, 1)
+        if critical.met is not None
+    }
+    decisions["decrement"] = decision(result.decrement[2])
     if rule.item in decisions:
         word = decisions[rule.item]
         return rule.outcome(word, word == rule.bound)
@@ -342,8 +338,7 @@ def cover(result: RotorSystemResult) -> dict[str, str]:
     """The least decrement and the first critical speed."""
     facts = {"least log decrement": with_error(result.decrement[0], result.decrement[1])}
     if result.criticals:
-        first = result.criticals[0]
-        facts["first critical speed"] = plain_text(first.speed, "Hz", 4)
+        facts["first critical speed"] = plain_text(result.criticals[0].speed, "Hz", 4)
     return facts
 
 

@@ -112,9 +112,6 @@ class SystemTest(Settings):
             raise SettingError("numbers", "'numbers' are whole, from 1 on, and rise", "numbers: [1, 3]")
         if self.mass is not None and not 0 < self.mass.std_error < self.mass.value:
             raise SettingError("mass", "'mass' needs its uncertainty", "mass: 33 kg +- 0.1 kg")
-        self._check_texts()
-
-    def _check_texts(self) -> None:
         for field in ("places", "deflections", "frequencies", "damping"):
             try:
                 getattr(self, f"read_{field}")

@@ -99,46 +99,38 @@ def load_system(path: Path, overrides: Iterable[str] = ()) -> RotorSystem:
     rig = read_rotor(Marked(plain, tree.where), path.stem, faults)
     system = None
     if rig is not None:
-        _check_pedestals(rig, pedestals, faults)
+        bearings, carried = [place.name for place in rig.bearings], set[str]()
+        for node, pedestal in pedestals:
+            name = pedestal.bearing
+            if name not in bearings:
+                faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
+            if name in carried:
+                faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
+            carried.add(name)
         stated = [pedestal for _, pedestal in pedestals]
         system = _system(rig, entries, taken, stated, internal, estimated, faults)
         numbers = {key: list(of_key.values()) for key, of_key in taken.items()}
         numbers |= {"pedestals": [pedestal.stiffness for pedestal in stated], "damping": [internal]}
-        _check_sources(system, entries, numbers, faults)
+        # Only the models of bearings know one error of several numbers
+        named = [
+            (key, number.source) for key, several in numbers.items() for number in several if number.source
+        ]
+        of_models = set[str]()
+        for place in system.rig.bearings:
+            sources = [entry.uncertainty.source for entry in place.uncertainties]
+            if place.name in system.linear:
+                named += [("bearings", source) for source in sources]
+            else:
+                of_models.update(sources)
+        uses = Counter(source for _, source in named)
+        for key, source in dict.fromkeys(named):
+            if uses[source] > 1 or source in of_models:
+                what = f"source={source}: only numbers of bearing models can have one error in common"
+                faults.add(entries[key], key, what, "leave it out")
         _check_freed(system, estimated, entries.get("estimate", tree), faults)
     faults.raise_any()
     assert system is not None
     return system
-
-
-def _check_pedestals(rig: RotorRig, pedestals: list[tuple[Marked, PedestalSettings]], faults: Faults) -> None:
-    bearings, carried = [place.name for place in rig.bearings], set[str]()
-    for node, pedestal in pedestals:
-        name = pedestal.bearing
-        if name not in bearings:
-            faults.add(node, "pedestals", f"no bearing '{name}'", nearest(name, bearings))
-        if name in carried:
-            faults.add(node, "pedestals", f"a second one of bearing '{name}'", "one carries a bearing")
-        carried.add(name)
-
-
-def _check_sources(
-    system: RotorSystem, entries: Mapping[str, Marked], numbers: Mapping[str, list[Uncertain]], faults: Faults
-) -> None:
-    """Only the models of bearings know one error of several numbers."""
-    named = [(key, number.source) for key, several in numbers.items() for number in several if number.source]
-    of_models = set[str]()
-    for place in system.rig.bearings:
-        sources = [entry.uncertainty.source for entry in place.uncertainties]
-        if place.name in system.linear:
-            named += [("bearings", source) for source in sources]
-        else:
-            of_models.update(sources)
-    uses = Counter(source for _, source in named)
-    for key, source in dict.fromkeys(named):
-        if uses[source] > 1 or source in of_models:
-            what = f"source={source}: only numbers of bearing models can have one error in common"
-            faults.add(entries[key], key, what, "leave it out")
 
 
 def _check_freed(system: RotorSystem, estimated: tuple[str, ...], node: Marked, faults: Faults) -> None:

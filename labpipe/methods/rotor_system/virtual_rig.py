@@ -67,9 +67,7 @@ class RotorTestRig(Settings):
             raise SettingError("band", f"no line every {self.spacing:g} Hz, or one at 0 Hz, lies in the band")
         if self.band[1] >= self.sample_rate / 2 or self.speeds[1] >= self.sample_rate / 4:
             raise SettingError("sample_rate", "the sampling rate is too low for band and speeds")
-        self._check_nodes(np.inf if self.system is None else self.system.rig.rotor.n_node)
-
-    def _check_nodes(self, last: float) -> None:
+        last = np.inf if self.system is None else self.system.rig.rotor.n_node
         places = {"force": [self.force], "accelerations": self.accelerations, "probes": self.probes}
         for name, nodes in places.items():
             if len(set(nodes)) < max(len(nodes), 1) or any(
@@ -131,8 +129,7 @@ def _shaken(world: World, name: str, rng: np.random.Generator) -> Recording:
     acceleration = -(omega[:, None] ** 2) * motion[:, :, 0] * force[:, None]
     whole = np.zeros((n // 2 + 1, 1 + len(outputs)), np.complex128)
     whole[lines.astype(int)] = np.column_stack([force, acceleration]) * n / 2
-    period = np.fft.irfft(whole, n, axis=0)
-    samples = np.tile(period, (rig.periods, 1))
+    samples = np.tile(np.fft.irfft(whole, n, axis=0), (rig.periods, 1))
     noise = [rig.force_noise, *[rig.acceleration_noise] * len(outputs)]
     dof = f"{rig.force}{'z' if name == SHAKEN[1] else 'y'}"
     places = [f"{int(node)}{axis}" for node in rig.accelerations for axis in "yz"]
@@ -164,8 +161,7 @@ def _run_up(world: World, name: str, rng: np.random.Generator) -> Recording:
         phases=built.phases[RUN_UP],
     )
     vectors, _, _ = test.readings(built.model, world.values)
-    course = scipy.interpolate.CubicSpline(grid, vectors)(speed)
-    motion = (course * np.exp(1j * turned)[:, None]).real
+    motion = (scipy.interpolate.CubicSpline(grid, vectors)(speed) * np.exp(1j * turned)[:, None]).real
     motion = motion + rig.probe_noise * rng.standard_normal(motion.shape)
     share = (turned / (2 * np.pi) + 0.5) % 1 - 0.5
     tacho = HIGH * np.clip(0.5 + np.minimum(share, PULSE - share) / RISE, 0.0, 1.0)

@@ -15,7 +15,6 @@ from labpipe.report import chart
 from labpipe.report.document import Figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
 UM = 1e6
@@ -54,7 +53,12 @@ def bode_figure(result: records.RunUpResult, run: records.MeasuredRun) -> Figure
     panels: dict[tuple[int, int], chart.Panel] = {}
     for number, motion in enumerate(run.motions):
         row, column = 2 * (number % 2), planes.index(motion.plane)
-        amplitude, phase = _bode_series(result, run, number)
+        critical = () if run.critical_speed is None else (chart.upright(RPM * run.critical_speed.value),)
+        measured = _measured_bode(run, run.motions[number])
+        methods = [
+            pair for method in result.methods if (pair := _method_bode(method, run, number)) is not None
+        ]
+        amplitude, phase = ((*critical, *series) for series in zip(measured, *methods, strict=True))
         title = motion.plane if row == 0 else ""
         panels[row, column] = chart.Panel(
             SPEED, chart.Axis(f"{motion.direction} amplitude", "um", low=0.0), amplitude, title
@@ -67,16 +71,6 @@ def bode_figure(result: records.RunUpResult, run: records.MeasuredRun) -> Figure
     plot = f"Bode plot, 0-to-peak, phase against the keyphasor; {bars}."
     alternative = f"Amplitude and phase of run {run.name} over speed, measured and by every method"
     return Figure(graphic, f"{run.name}, {run.load:.4g} N, {run.role}: {plot}", alternative)
-
-
-def _bode_series(
-    result: records.RunUpResult, run: records.MeasuredRun, number: int
-) -> tuple[tuple[chart.Series, ...], tuple[chart.Series, ...]]:
-    critical = () if run.critical_speed is None else (chart.upright(RPM * run.critical_speed.value),)
-    measured = _measured_bode(run, run.motions[number])
-    methods = [pair for method in result.methods if (pair := _method_bode(method, run, number)) is not None]
-    amplitude, phase = zip(measured, *methods, strict=True)
-    return (*critical, *amplitude), (*critical, *phase)
 
 
 def _measured_bode(run: records.MeasuredRun, motion: records.Motion) -> tuple[chart.Series, chart.Series]:
@@ -390,17 +384,13 @@ def surface_canvas(surfaces: CoefficientSurfaces, size: tuple[float, float]) -> 
         canvas = Canvas(figsize=size)
         for place, title in enumerate(surfaces.titles):
             axes = canvas.add_subplot(2, 2, place + 1, projection=Axes3D.name)
-            _surface(axes, surfaces, place, title)
+            speed, load = np.meshgrid(surfaces.speed, surfaces.load)
+            look = {"cmap": "viridis", "edgecolor": "0.3", "linewidth": 0.25}
+            axes.plot_surface(speed, load, surfaces.values[place], **look)
+            axes.set_xlabel("speed [rpm]", fontsize=8)
+            axes.set_ylabel("load [N]", fontsize=8)
+            axes.set_title(title, fontsize=9)
+            axes.tick_params(labelsize=7, pad=1)
+            axes.view_init(elev=24, azim=-125)
         canvas.subplots_adjust(left=0.02, right=0.95, bottom=0.05, top=0.95, wspace=0.12, hspace=0.16)
     return canvas
-
-
-def _surface(axes: Axes, surfaces: CoefficientSurfaces, place: int, title: str) -> None:
-    speed, load = np.meshgrid(surfaces.speed, surfaces.load)
-    look = {"cmap": "viridis", "edgecolor": "0.3", "linewidth": 0.25}
-    axes.plot_surface(speed, load, surfaces.values[place], **look)  # type: ignore[attr-defined]
-    axes.set_xlabel("speed [rpm]", fontsize=8)
-    axes.set_ylabel("load [N]", fontsize=8)
-    axes.set_title(title, fontsize=9)
-    axes.tick_params(labelsize=7, pad=1)
-    axes.view_init(elev=24, azim=-125)  # type: ignore[attr-defined]

@@ -38,7 +38,10 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     a peak with measured speeds on both sides. Equation (run-peak).
     """
     number = run.planes.index(plane) if plane else len(run.planes) - 1
-    top = _top(run, number)
+    top = int(np.argmax(largest_displacement(run.response)[:, number]))
+    if run.n_speed < FEWEST_POINTS or not 2 <= top < run.n_speed - 2:
+        hint = f"measure {FEWEST_POINTS} speeds or more on both sides of a peak"
+        raise DataError(f"run '{run.name}' has no critical speed within its speeds", hint=hint)
     size = min(POINTS, run.n_speed)
     chosen, rng = _about(run, top, size), np.random.default_rng(SEED)
     wide = _peak(run, number, chosen, run.response)
@@ -49,15 +52,6 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     ]
     variance = np.std(again) ** 2 + (wide - narrow) ** 2 + np.sum(np.square(of_probes))
     return Uncertain(wide, float(np.sqrt(variance)))
-
-
-def _top(run: records.RunUp, number: int) -> int:
-    displacement = largest_displacement(run.response)[:, number]
-    top = int(np.argmax(displacement))
-    if run.n_speed < FEWEST_POINTS or not 2 <= top < run.n_speed - 2:
-        hint = f"measure {FEWEST_POINTS} speeds or more on both sides of a peak"
-        raise DataError(f"run '{run.name}' has no critical speed within its speeds", hint=hint)
-    return top
 
 
 def _about(run: records.RunUp, top: int, size: int) -> slice:
@@ -198,7 +192,12 @@ def run_up_of(
             what = f"channel '{channel.name}' of recording '{name}' reads {channel.quantity}"
             raise DataError(what, hint="a run-up is of displacements: leave its direction out")
     check_moving(track, name, [column for plane in track.planes for column in plane.columns])
-    response, deviation = _in_planes(track)
+    phasors, deviations = [], []
+    for plane in track.planes:
+        turn, columns = np.linalg.inv(plane.directions), list(plane.columns)
+        phasors.append(track.amplitude[:, columns] @ turn.T)
+        deviations.append(np.sqrt(track.variance[:, columns] / 2 @ (turn**2).T))
+    response, deviation = np.stack(phasors, axis=1), np.stack(deviations, axis=1)
     speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
         hint = "a run-up needs a speed that changes"
@@ -256,15 +255,6 @@ def _by_speed(
     means = np.asarray(np.add.reduceat(weight * response[order], starts) / total, np.complex128)
     middle = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
     return middle, means, np.asarray(total**-0.5)
-
-
-def _in_planes(track: OrderTrack) -> tuple[ComplexArray, FloatArray]:
-    phasors, deviations = [], []
-    for plane in track.planes:
-        turn, columns = np.linalg.inv(plane.directions), list(plane.columns)
-        phasors.append(track.amplitude[:, columns] @ turn.T)
-        deviations.append(np.sqrt(track.variance[:, columns] / 2 @ (turn**2).T))
-    return np.stack(phasors, axis=1), np.stack(deviations, axis=1)
 
 
 def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:

@@ -158,8 +158,7 @@ def _fit_load(rig: RunUpRotor, group: LoadRuns, bound: float, ridge: float) -> P
     free = slopes * ~at_bound[:, None, :]
     covariance = np.linalg.inv(_normal(free) + np.eye(8) / ridge**2)
     of_probes = np.zeros_like(start)
-    names = [source.source for source in sources_of([group])]
-    for change in group.residual_changes(names):
+    for change in group.residual_changes([source.source for source in sources_of([group])]):
         of_probes += np.einsum("nij,nkj,nk->ni", covariance, free, change) ** 2
     deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + of_probes) * unit
     rank, condition = rank_of(slopes)
@@ -308,8 +307,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: Ru
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
-    method = joint_method("joint", "(c) joint physical fit", fit)
-    return Solved(method, joint_at(fit), anywhere=fit)
+    return Solved(joint_method("joint", "(c) joint physical fit", fit), joint_at(fit), anywhere=fit)
 
 
 def solve_process(

@@ -62,8 +62,7 @@ class ExcitedRun:
         size = np.abs(self._measured)
         turned = difference * (self._measured / size).conj()
         along = turned.real / run.amplitude_error.reshape(shape)
-        across = turned.imag / (size * run.phase_error.reshape(shape))
-        return np.concatenate([along, across], axis=-1)
+        return np.concatenate([along, turned.imag / (size * run.phase_error.reshape(shape))], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,13 @@ def fit_with_process(
     for _ in range(ROUNDS):
         linear = LinearData.at(problem, values, places)
         problem = problem_of(_likeliest(linear, places, ranges))
-        values, more = _minimum(problem, _carry(values, linear.field, problem.model.field))
+        # The same fields in another basis, by least squares
+        new = problem.model.field
+        n = len(rotor.PARAMETERS)
+        field = linear.field.basis(linear.field.places) @ values[n:].reshape(8, -1).T
+        basis = new.basis(new.places)
+        z = np.linalg.solve(basis.T @ basis + 1e-6 * new.kernel.size**2 * np.eye(new.n_mode), basis.T @ field)
+        values, more = _minimum(problem, np.concatenate([values[:n], z.T.ravel()]))
         steps += more
     return ProcessFit(problem=problem, values=values, rig=rig, steps=steps)
 
@@ -268,15 +274,6 @@ def _minimum(problem: Problem[ProcessFamily], start: FloatArray) -> tuple[FloatA
         hint = "check unbalance, phases, standard errors, rotor file"
         raise FitError("no minimum of the fit with smooth factors was found", hint=hint)
     return minimum.values, minimum.steps
-
-
-def _carry(values: FloatArray, old: SmoothField, new: SmoothField) -> FloatArray:
-    """The same fields in another basis, by least squares."""
-    n = len(rotor.PARAMETERS)
-    field = old.basis(old.places) @ values[n:].reshape(8, -1).T
-    basis = new.basis(new.places)
-    z = np.linalg.solve(basis.T @ basis + 1e-6 * new.kernel.size**2 * np.eye(new.n_mode), basis.T @ field)
-    return np.concatenate([values[:n], z.T.ravel()])
 
 
 @dataclass(frozen=True)

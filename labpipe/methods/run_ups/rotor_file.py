@@ -73,7 +73,7 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     before = len(faults)
     entries = faults.mapping(tree, "")
     settings, rotor, bearings, lists = read_parts(tree, entries, PinnedSettings, OWN_LISTS, NEEDED, faults)
-    pins = _nodes(entries.get("pins"), "pins", faults)
+    pins = _nodes(entries.get("pins"), faults)
     named = faults.mapping(entries["planes"], "planes") if "planes" in entries else {}
     planes = tuple((name, _node(entry, join("planes", name), faults)) for name, entry in named.items())
     listed = entries.get("bearings")
@@ -134,13 +134,13 @@ def _metamodel(path: Path, name: str) -> Metamodel:
     return from_entries(models[name])
 
 
-def _nodes(node: Marked | None, key: str, faults: Faults) -> tuple[int, ...]:
+def _nodes(node: Marked | None, faults: Faults) -> tuple[int, ...]:
     if node is None:
         return ()
     if not isinstance(node.content, list):
-        faults.add(node, key, "a list of nodes is needed", "for example [1, 5]")
+        faults.add(node, "pins", "a list of nodes is needed", "for example [1, 5]")
         return ()
-    return tuple(_node(entry, f"{key}.{number}", faults) for number, entry in enumerate(node.content, 1))
+    return tuple(_node(entry, f"pins.{number}", faults) for number, entry in enumerate(node.content, 1))
 
 
 def _node(entry: Marked, key: str, faults: Faults) -> int:

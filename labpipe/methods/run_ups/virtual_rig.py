@@ -128,7 +128,14 @@ class VirtualUnbalanceRig(Settings):
 def true_coefficients(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
     """K and C (n_speed, 2, 2) of the true bearing, over speed [rad/s] under a *load* [N]."""
     if virtual.truth == "factors":
-        return _with_factors(virtual, load)
+        loads = (min(*virtual.loads, virtual.held_out), max(*virtual.loads, virtual.held_out))
+        speeds = (float(virtual.omega[0]), float(virtual.omega[-1]))
+
+        def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+            start = as_eight(*virtual.nominal.start_coefficients(load, speed))
+            return as_matrices(start * smooth_factors(load, speed, loads, speeds))
+
+        return coefficients
     if virtual.truth == "inside":
         return family_about(virtual.nominal, virtual.loads, "a virtual run-up").at_load(INSIDE, load)
     return _outside(virtual, load)
@@ -150,17 +157,6 @@ def smooth_factors(
         + np.cos(np.pi * (u[:, None] - v) + phase[2])
     ) / 3
     return (HIGHEST_FACTOR + LOWEST_FACTOR) / 2 + (HIGHEST_FACTOR - LOWEST_FACTOR) / 2 * wave
-
-
-def _with_factors(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
-    loads = (min(*virtual.loads, virtual.held_out), max(*virtual.loads, virtual.held_out))
-    speeds = (float(virtual.omega[0]), float(virtual.omega[-1]))
-
-    def coefficients(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        start = as_eight(*virtual.nominal.start_coefficients(load, speed))
-        return as_matrices(start * smooth_factors(load, speed, loads, speeds))
-
-    return coefficients
 
 
 def _outside(virtual: VirtualUnbalanceRig, load: float) -> CoefficientsAtSpeed:
