@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
-from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, quantity, setting
+from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, quantity, section, setting
 from labpipe.records.uncertain import RepeatSource, Uncertain
 from labpipe.registry import Registry
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -156,10 +156,8 @@ class FitSettings(Settings):
         unit="Hz",
         default=(),
     )
-    sliding: Sliding | None = setting(
-        "section", "repeat the fit in sliding bands", section=Sliding, default=None
-    )
-    subtract: Support | None = setting("section", "support to subtract", section=Support, default=None)
+    sliding: Sliding | None = section("repeat the fit in sliding bands", Sliding, None)
+    subtract: Support | None = section("support to subtract", Support, None)
     share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
     eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
     symmetric: bool = setting("flag", "K, C and M are symmetric", default=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError, unit_of
 from labpipe.records.response import FORMS
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, section, setting
 
 
 @dataclass(frozen=True)
@@ -105,12 +105,8 @@ class FrfLayout(Settings):
     pattern: str = setting(
         "text", "dofs in the names of the files, for example 'H_{output}_{input}'", default=""
     )
-    columns: FrfColumns | None = setting(
-        "section", "columns of a table, by name or by number from 1", section=FrfColumns, default=None
-    )
-    variables: FrfColumns | None = setting(
-        "section", "variables of a .mat, .h5 or .npz file", section=FrfColumns, default=None
-    )
+    columns: FrfColumns | None = section("columns of a table, by name or by number from 1", FrfColumns, None)
+    variables: FrfColumns | None = section("variables of a .mat, .h5 or .npz file", FrfColumns, None)
     elements: tuple[tuple[str, ElementColumns], ...] = setting(
         "sections",
         "several elements in one file: {x/f: {re: 2, im: 3}, y/f: {re: 4, im: 5}}",
@@ -141,11 +137,8 @@ class FrfLayout(Settings):
         choices=WINDOWS,
         default="",
     )
-    windowed: WindowedSettings | None = setting(
-        "section",
-        "window of the hits behind the FRF: its damping is taken out",
-        section=WindowedSettings,
-        default=None,
+    windowed: WindowedSettings | None = section(
+        "window of the hits behind the FRF: its damping is taken out", WindowedSettings, None
     )
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
 from labpipe.simulate import virtual_rigs
 
 # A free decay is followed until this share of it is left.
@@ -204,7 +204,7 @@ class BaseRig(OneMass):
     sample_rate: float = quantity("sampling rate", "Hz", 512.0)
     duration: float = quantity("length of a run", "s", 32.0)
     pause: float = quantity("pause after the sweep, part of its run", "s", 4.0)
-    noise: BaseNoise = setting("section", "measuring noise", section=BaseNoise, default=BaseNoise())
+    noise: BaseNoise = section("measuring noise", BaseNoise, BaseNoise())
 
     def __post_init__(self) -> None:
         self.check("acceleration")
@@ -324,7 +324,7 @@ class WhiteNoiseRig(Settings):
     block: float = quantity("length of one block", "s", 5.0)
     speed: float = quantity("shaft speed", "Hz", 50.0)
     unbalance: float = quantity("mass times eccentricity", "kg.m", 5.5e-5)
-    noise: SensorNoise = setting("section", "measuring noise", section=SensorNoise, default=SensorNoise())
+    noise: SensorNoise = section("measuring noise", SensorNoise, SensorNoise())
 
     def __post_init__(self) -> None:
         check_matrices(self, 2, "stiffness", "damping")
@@ -411,7 +411,7 @@ class VirtualMdofRig(Settings):
     mass: tuple[float, ...] | tuple[tuple[float, ...], ...] = setting(
         "mass", "masses, or the mass matrix M", unit="kg"
     )
-    lines: Lines = setting("section", "frequency lines of the FRF", section=Lines)
+    lines: Lines = section("frequency lines of the FRF", Lines)
     noise: float = quantity(
         "standard deviation on the real and on the imaginary part, as a share of the largest |H|", "1"
     )

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass, fields
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, section, setting
 
 EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.
@@ -186,30 +186,20 @@ class FrfSettings(Settings):
     )
     band: tuple[float, float] | None = setting("band", "frequencies kept", unit="Hz", default=None)
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
-    mask: MaskSettings | None = setting(
-        "section", "lines of the shaft speed left out", section=MaskSettings, default=None
-    )
-    remove: ShaftLines | None = setting(
-        "section",
+    mask: MaskSettings | None = section("lines of the shaft speed left out", MaskSettings, None)
+    remove: ShaftLines | None = section(
         "part synchronous with the shaft (runout, unbalance) taken out of all channels (periodic, random)",
-        section=ShaftLines,
-        default=None,
+        ShaftLines,
+        None,
     )
     realisations: bool = setting(
         "flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False
     )
-    impact: ImpactSettings = setting(
-        "section", "hits of a hammer", section=ImpactSettings, default=ImpactSettings()
+    impact: ImpactSettings = section("hits of a hammer", ImpactSettings, ImpactSettings())
+    windowed: WindowedSettings | None = section(
+        "window that hits have already: its damping is taken out", WindowedSettings, None
     )
-    windowed: WindowedSettings | None = setting(
-        "section",
-        "window that hits have already: its damping is taken out",
-        section=WindowedSettings,
-        default=None,
-    )
-    decay: FreeDecaySettings = setting(
-        "section", "free decays: start and end", section=FreeDecaySettings, default=FreeDecaySettings()
-    )
+    decay: FreeDecaySettings = section("free decays: start and end", FreeDecaySettings, FreeDecaySettings())
     result: str = setting(
         "choice",
         "one response matrix, or the spectra of all channels side by side with their noise",

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, section, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
@@ -109,12 +109,8 @@ class MatrixSettings(Settings):
         "values of a condition closer than this share of the largest are one level", "1", 0.02
     )
     level: float = quantity("level of significance of tests", "1", 0.05)
-    theory: MatrixTheorySettings | None = setting(
-        "section", "theory beside the points", section=MatrixTheorySettings, default=None
-    )
-    path: EquilibriumSettings | None = setting(
-        "section", "static equilibrium over the load", section=EquilibriumSettings, default=None
-    )
+    theory: MatrixTheorySettings | None = section("theory beside the points", MatrixTheorySettings, None)
+    path: EquilibriumSettings | None = section("static equilibrium over the load", EquilibriumSettings, None)
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -196,9 +192,7 @@ class CompareSettings(Settings):
     groups: tuple[str, ...] = setting("names", "the two groups, the second against the first", default=())
     law: str = setting("choice", "straight line, or power law", choices=LAWS, default="line")
     setting_error: float = quantity("relative standard error of setting the condition", "1", 0.0)
-    theory: TheorySettings | None = setting(
-        "section", "theory to compare with", section=TheorySettings, default=None
-    )
+    theory: TheorySettings | None = section("theory to compare with", TheorySettings, None)
     estimate: tuple[str, ...] = setting("names", "unknowns of the bearing file, fitted", default=())
     before: str = setting(
         "text", "response ahead of the sum at which the excitation is added", default="before"

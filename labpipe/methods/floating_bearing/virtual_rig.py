@@ -22,7 +22,7 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
 from labpipe.simulate.linear import TACHO, check_matrices, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
@@ -79,10 +79,8 @@ class Condition(Settings):
     stiffness: Matrix = setting("matrix", "K of the film (x, y)", unit="N/m", default=NONE)
     damping: Matrix = setting("matrix", "C of the film", unit="N.s/m", default=NONE)
     mass: Matrix = setting("matrix", "virtual mass M of the film", unit="kg", default=NONE)
-    relaxation: Relaxation | None = setting(
-        "section", "relaxation, added in x and in y", section=Relaxation, default=None
-    )
-    pad: Pad | None = setting("section", "pad with inertia, added in x and in y", section=Pad, default=None)
+    relaxation: Relaxation | None = section("relaxation, added in x and in y", Relaxation, None)
+    pad: Pad | None = section("pad with inertia, added in x and in y", Pad, None)
 
     def __post_init__(self) -> None:
         check_matrices(self, 2, "stiffness", "damping", "mass")
@@ -121,8 +119,8 @@ class FloatingRig(Settings):
     )
     _: KW_ONLY
     name: str = setting("text", "name of the rig", default="Virtual floating stator")
-    journal: JournalSettings | None = setting(
-        "section", "journal bearing between stator and shaft", section=JournalSettings, default=None
+    journal: JournalSettings | None = section(
+        "journal bearing between stator and shaft", JournalSettings, None
     )
     baseline_stiffness: Matrix = setting(
         "matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE
@@ -154,9 +152,7 @@ class FloatingRig(Settings):
     drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
     gain: float = quantity("force of a shaker over its drive", "N/V", 1000.0)
     probe_delay: float = quantity("delay of the relative probes", "s", 0.0)
-    noise: FloatingNoise = setting(
-        "section", "measuring noise", section=FloatingNoise, default=FloatingNoise()
-    )
+    noise: FloatingNoise = section("measuring noise", FloatingNoise, FloatingNoise())
 
     def __post_init__(self) -> None:
         check_matrices(self, 2, "baseline_stiffness", "baseline_damping", "shaft_stiffness", "shaft_damping")

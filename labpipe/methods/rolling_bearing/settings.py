@@ -17,7 +17,7 @@ from scipy import special
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.loads import DOFS, LOADS, RigidShaft, RollingBearing
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 
 
 @dataclass(frozen=True)
@@ -261,14 +261,10 @@ class RollingSettings(Settings, ABC):
     cage_angle: float = quantity("angle of the first element from x", "rad", 0.0)
     damping_factor: float = quantity("beta of the stiffness-proportional damping C = beta K", "s", 0.0)
     pitch_radius: float | None = quantity("radius of the groove centres (balls) or roller centres", "m", None)
-    loads: Loads = setting("section", "loads; zero by default", section=Loads, default=Loads())
-    displacements: Displacements = setting(
-        "section", "fixed displacements", section=Displacements, default=Displacements()
-    )
+    loads: Loads = section("loads; zero by default", Loads, Loads())
+    displacements: Displacements = section("fixed displacements", Displacements, Displacements())
 
-    shaft: ShaftSettings | None = setting(
-        "section", "a rigid shaft on the bearing", section=ShaftSettings, default=None
-    )
+    shaft: ShaftSettings | None = section("a rigid shaft on the bearing", ShaftSettings, None)
 
     def __post_init__(self) -> None:
         for dof, load in LOAD_OF_DOF.items():
@@ -299,9 +295,7 @@ class BallBearingSettings(RollingSettings):
 
     stiffness_constant: float | None = quantity("K_n of Q = K_n delta^1.5", "N/m^1.5", None)
     groove_distance: float | None = quantity("unloaded distance A0 of the groove centres", "m", None)
-    geometry: BallGeometrySettings | None = setting(
-        "section", "balls and grooves", section=BallGeometrySettings, default=None
-    )
+    geometry: BallGeometrySettings | None = section("balls and grooves", BallGeometrySettings, None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

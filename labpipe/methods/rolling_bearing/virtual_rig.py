@@ -21,7 +21,7 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, quantity, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -38,9 +38,7 @@ class TestedBearing(Settings):
     """
 
     name: str = setting("text", "short name, with which the names of the runs begin")
-    bearing: BallBearingSettings = setting(
-        "section", "the bearing, with the shaft on it", section=BallBearingSettings
-    )
+    bearing: BallBearingSettings = section("the bearing, with the shaft on it", BallBearingSettings)
     preloads: tuple[float, ...] = setting("values", "axial preloads", unit="N")
     bending_stiffness: float = quantity(
         "radial stiffness of the bending shaft; default: rigid", "N/m", np.inf
@@ -91,12 +89,8 @@ class VirtualBallBearingRig(Settings):
     """Bearings, shaft, sensors, and the deviation from theory: ratio of true to theoretical stiffness."""
 
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
-    deep_groove: TestedBearing = setting(
-        "section", "first bearing: tested up and down and repeatedly", section=TestedBearing
-    )
-    angular: TestedBearing | None = setting(
-        "section", "second bearing: tested up", section=TestedBearing, default=None
-    )
+    deep_groove: TestedBearing = section("first bearing: tested up and down and repeatedly", TestedBearing)
+    angular: TestedBearing | None = section("second bearing: tested up", TestedBearing, None)
     name: str = setting("text", "name of the rig", default="Virtual ball-bearing rig")
     stiffness_ratio: float = quantity("true stiffness over the theory's", "1", 1.12)
     damping_factor: float = quantity("beta of the bearings' damping C = beta K", "s", 2e-5)
@@ -107,8 +101,8 @@ class VirtualBallBearingRig(Settings):
     string_factor: float = quantity("a of the string's P = a f^2", "N/Hz^2", 0.009189)
     strip_factor: float = quantity("b of the strip's F = b S + c", "N/V", 2079.0)
     strip_offset: float = quantity("c of the strip's F = b S + c", "N", 0.0092)
-    sampling: Sampling = setting("section", "how tests are recorded", section=Sampling, default=Sampling())
-    noise: RigNoise = setting("section", "noise and scatter", section=RigNoise, default=RigNoise())
+    sampling: Sampling = section("how tests are recorded", Sampling, Sampling())
+    noise: RigNoise = section("noise and scatter", RigNoise, RigNoise())
 
     def __post_init__(self) -> None:
         self.require_positive("stiffness_ratio", "arm", "string_factor", "strip_factor")

@@ -11,7 +11,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import ESTIMATED
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -71,9 +71,7 @@ class SystemTest(Settings):
     band: tuple[float, float] | None = setting(
         "band", "response: lines that count; default: all", unit="Hz", default=None
     )
-    run: RunSettings | None = setting(
-        "section", "run-up: its table or recording, as in run_ups", section=RunSettings, default=None
-    )
+    run: RunSettings | None = section("run-up: its table or recording, as in run_ups", RunSettings, None)
     axes: str = setting(
         "choice",
         "run-up: x of the run is along the load and y a quarter turn further with the spin, or x is y of the "
@@ -192,11 +190,8 @@ class RotorSystemSettings(Settings):
         unit="Hz",
         default=None,
     )
-    small_errors: SmallErrors = setting(
-        "section",
-        "errors that are everywhere, with their declared sizes",
-        section=SmallErrors,
-        default=SmallErrors(),
+    small_errors: SmallErrors = section(
+        "errors that are everywhere, with their declared sizes", SmallErrors, SmallErrors()
     )
     balance_speeds: tuple[float, ...] = setting(
         "values",

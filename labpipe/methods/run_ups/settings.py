@@ -14,7 +14,7 @@ from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, Probe
 from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, section, setting
 from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
 
@@ -218,11 +218,10 @@ class RunUpSettings(Settings):
     )
     seed: int = setting("integer", "of random starts and networks", default=1)
     source: str = setting("text", "where the printed values are from", default="")
-    probes: ProbeSettings = setting(
-        "section",
+    probes: ProbeSettings = section(
         "uncertainties of the probes of tables; a recording has those of its rig file",
-        section=ProbeSettings,
-        default=ProbeSettings(),
+        ProbeSettings,
+        ProbeSettings(),
     )
     rig: RunUpRotor | None = None
 

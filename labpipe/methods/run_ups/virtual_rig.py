@@ -19,7 +19,7 @@ from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, section, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate import virtual_rigs
 
@@ -85,7 +85,7 @@ class VirtualUnbalanceRig(Settings):
     )
     shaker_force: float = quantity("amplitude of that force, along x at the first plane", "N", 2.0)
     shaker_ratio: float = quantity("its frequency over the shaft's", "1", 0.95)
-    noise: RunUpNoise = setting("section", "measuring noise", section=RunUpNoise, default=RunUpNoise())
+    noise: RunUpNoise = section("measuring noise", RunUpNoise, RunUpNoise())
     rig: RunUpRotor | None = None
 
     def __post_init__(self) -> None:
