@@ -18,7 +18,7 @@ from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.certificate import FREQUENCY, CertifiedQuantity, read_certificate
 from labpipe.records import uncertain
-from labpipe.records.settings import Settings, Uncertainties, setting
+from labpipe.records.settings import Settings, Uncertainties, setting, text
 from labpipe.registry import nearest
 
 
@@ -26,10 +26,8 @@ from labpipe.registry import nearest
 class ChainUncertaintySettings(Settings):
     """Standard uncertainties of a channel's whole chain; in brackets, how else they are meant."""
 
-    gain: str = setting(
-        "text", "of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)", default=""
-    )
-    phase: str = setting("text", "of the whole chain, at every frequency alike: 0.5 deg", default="")
+    gain: str = text("of the whole chain, relative: 1 %, or 2 % (k=2), or 1 % (rectangular)")
+    phase: str = text("of the whole chain, at every frequency alike: 0.5 deg")
 
 
 @dataclass(frozen=True)
@@ -188,20 +186,18 @@ class CertificateSettings(Settings):
 
     certificate: str = setting("text", "DCC (.xml) or table of certificates (.csv), relative to the rig file")
     quantity: str = setting("text", "id, refType or name of the quantity that is the sensitivity")
-    number: str = setting("text", "number of the certificate, where a table holds several", default="")
-    serial: str = setting("text", "serial number of the sensor, which the certificate must name", default="")
-    date: str = setting(
-        "text", "day of the measurement, on which it must be valid; default: today", default=""
-    )
-    sha256: str = setting("text", "digest of the file, by which no change of it goes unseen", default="")
-    over: str = setting("text", "quantity with the frequencies of a sensitivity over frequency", default="")
+    number: str = text("number of the certificate, where a table holds several")
+    serial: str = text("serial number of the sensor, which the certificate must name")
+    date: str = text("day of the measurement, on which it must be valid; default: today")
+    sha256: str = text("digest of the file, by which no change of it goes unseen")
+    over: str = text("quantity with the frequencies of a sensitivity over frequency")
     at: float | None = setting(
         "value",
         "frequency at which the sensitivity is stated, that of a response of 1",
         unit="Hz",
         default=None,
     )
-    phase: str = setting("text", "quantity with the phase over the same frequencies", default="")
+    phase: str = text("quantity with the phase over the same frequencies")
 
 
 @dataclass(frozen=True)

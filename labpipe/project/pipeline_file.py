@@ -19,7 +19,7 @@ from labpipe.project.tests import SINGLE, EachFile, SourceFile, Test, TestReader
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections
-from labpipe.records.settings import Settings, quantity, setting, settings_of
+from labpipe.records.settings import Settings, quantity, setting, settings_of, text
 from labpipe.records.uncertain import RepeatSource, parse_uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -30,20 +30,16 @@ from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, MatrixSet
 class RepeatSettings(Settings):
     """What changes a parameter between repeats: as known, or as a repeatability test found it."""
 
-    parameter: str = setting("text", "the coefficient that scatters, of every fit that has it: k", default="")
-    size: str = setting("text", "its standard uncertainty, relative: 0.5 %, or 0.5 % (dof=4)", default="")
+    parameter: str = text("the coefficient that scatters, of every fit that has it: k")
+    size: str = text("its standard uncertainty, relative: 0.5 %, or 0.5 % (dof=4)")
     file: str = setting(
         "file",
         "instead of parameter and size: identification.json of a comparison of kind repeatability",
         default="",
     )
-    comparison: str = setting(
-        "text", "name of the comparison in that file; its scatter between settings is taken", default=""
-    )
-    per: str = setting(
-        "text",
-        "condition; tests of one value of it have the error in common. Default: each test has its own",
-        default="",
+    comparison: str = text("name of the comparison in that file; its scatter between settings is taken")
+    per: str = text(
+        "condition; tests of one value of it have the error in common. Default: each test has its own"
     )
 
     def __post_init__(self) -> None:

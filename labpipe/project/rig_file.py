@@ -16,7 +16,7 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import FileKind, Settings, Uncertainties, quantity, setting
+from labpipe.records.settings import FileKind, Settings, Uncertainties, quantity, setting, text
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -33,8 +33,8 @@ DEFAULT_ROLES = {"force": "input", "displacement": "output", "velocity": "output
 class RigSettings(Settings):
     """The plain entries of a rig file (its channels are read by themselves)."""
 
-    name: str = setting("text", "name of the rig, as the report shows it", default="")
-    description: str = setting("text", "what a reader should know of the rig", default="")
+    name: str = text("name of the rig, as the report shows it")
+    description: str = text("what a reader should know of the rig")
     sample_rate: float | None = quantity("sampling rate, where no time column or file gives it", "Hz", None)
     time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
     resample: float | None = quantity(
@@ -52,28 +52,24 @@ class ChannelSettings(Settings):
     """One entry below ``channels:``."""
 
     quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
-    unit: str = setting("text", "unit of the recorded numbers; default: SI", default="")
-    column: str = setting("text", "column of the file; default: the channel's key", default="")
+    unit: str = text("unit of the recorded numbers; default: SI")
+    column: str = text("column of the file; default: the channel's key")
     role: str = setting(
         "choice",
         "input (force), output (response) or reference, as members of sums are",
         choices=ROLES,
         default="",
     )
-    dof: str = setting("text", "x, y, z, any name, or an angle from x such as '45 deg'", default="")
+    dof: str = text("x, y, z, any name, or an angle from x such as '45 deg'")
     position: float | None = setting(
         "value", "place along the axis, where magnets and sensors are apart", unit="m", default=None
     )
-    sensitivity: str = setting(
-        "text",
-        "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'; or {certificate: FILE, quantity: NAME}",
-        default="",
+    sensitivity: str = text(
+        "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'; or {certificate: FILE, quantity: NAME}"
     )
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
-    response: str = setting(
-        "text", "CSV table of the sensor's frequency response, taken out of the FRF", default=""
-    )
+    response: str = text("CSV table of the sensor's frequency response, taken out of the FRF")
     range: tuple[float, float] | None = setting(
         "text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None
     )
@@ -84,9 +80,7 @@ class ChannelSettings(Settings):
         default=None,
         before="doubt",
     )
-    derived: str = setting(
-        "text", "sum of other channels in place of a column, for example 'f_x - m_s * a_x'", default=""
-    )
+    derived: str = text("sum of other channels in place of a column, for example 'f_x - m_s * a_x'")
     uncertainties: Uncertainties = ()
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError, unit_of
 from labpipe.records.response import FORMS
-from labpipe.records.settings import Settings, section, setting
+from labpipe.records.settings import Settings, section, setting, text
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ _KNOWN_PARTS = "re and im, complex, or amplitude (amplitude_db) and phase_deg (p
 class ElementColumns(Settings):
     """Columns (or variables) of one element of H, by name or by number from 1."""
 
-    re: str = setting("text", "real part", default="")
-    im: str = setting("text", "imaginary part", default="")
-    complex: str = setting("text", "complex values such as 1+2j", default="")
-    amplitude: str = setting("text", "amplitude", default="")
-    amplitude_db: str = setting("text", "amplitude in decibels, 20 log10(|H| / unit)", default="")
-    phase_deg: str = setting("text", "phase in degrees", default="")
-    phase_rad: str = setting("text", "phase in radians", default="")
-    coherence: str = setting("text", "coherence", default="")
+    re: str = text("real part")
+    im: str = text("imaginary part")
+    complex: str = text("complex values such as 1+2j")
+    amplitude: str = text("amplitude")
+    amplitude_db: str = text("amplitude in decibels, 20 log10(|H| / unit)")
+    phase_deg: str = text("phase in degrees")
+    phase_rad: str = text("phase in radians")
+    coherence: str = text("coherence")
 
     def __post_init__(self) -> None:
         if self.given and self.given not in PARTS:
@@ -73,13 +73,11 @@ class ElementColumns(Settings):
 class FrfColumns(ElementColumns):
     """The frequency axis, and the columns of the only element, or the array that holds the whole matrix."""
 
-    frequency: str = setting("text", "frequency, in Hz unless the file states another unit", default="")
-    omega: str = setting("text", "angular frequency in rad/s, instead of frequency", default="")
-    start: str = setting("text", "first frequency: a value such as '0 Hz', or a variable", default="")
-    step: str = setting("text", "distance of the lines: a value such as '0.5 Hz', or a variable", default="")
-    matrix: str = setting(
-        "text", "variable of the whole complex matrix, instead of one column for each element", default=""
-    )
+    frequency: str = text("frequency, in Hz unless the file states another unit")
+    omega: str = text("angular frequency in rad/s, instead of frequency")
+    start: str = text("first frequency: a value such as '0 Hz', or a variable")
+    step: str = text("distance of the lines: a value such as '0.5 Hz', or a variable")
+    matrix: str = text("variable of the whole complex matrix, instead of one column for each element")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,15 +94,11 @@ class FrfColumns(ElementColumns):
 class FrfLayout(Settings):
     """An entry under ``frfs:`` that describes its file."""
 
-    file: str = setting(
-        "text", "the file, or a glob of files of which each is a response of its own", default=""
-    )
+    file: str = text("the file, or a glob of files of which each is a response of its own")
     each: tuple[str, ...] = setting(
         "names", "files of one FRF matrix, one for each element, row or column", default=()
     )
-    pattern: str = setting(
-        "text", "dofs in the names of the files, for example 'H_{output}_{input}'", default=""
-    )
+    pattern: str = text("dofs in the names of the files, for example 'H_{output}_{input}'")
     columns: FrfColumns | None = section("columns of a table, by name or by number from 1", FrfColumns, None)
     variables: FrfColumns | None = section("variables of a .mat, .h5 or .npz file", FrfColumns, None)
     elements: tuple[tuple[str, ElementColumns], ...] = setting(
@@ -122,7 +116,7 @@ class FrfLayout(Settings):
         choices=(*MECHANICAL, NAMED),
         default="",
     )
-    unit: str = setting("text", "unit of the numbers, for example g/N; default: SI", default="")
+    unit: str = text("unit of the numbers, for example g/N; default: SI")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
     conjugate: bool = setting(

@@ -14,7 +14,7 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.recording import Channel
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, setting, text
 from labpipe.records.uncertain import Uncertain
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
@@ -105,8 +105,8 @@ class Rig:
 class RecordedCondition(Settings):
     """Where a condition is taken from."""
 
-    channel: str = setting("text", "channel whose mean is the condition", default="")
-    tacho: str = setting("text", "channel with tacho pulses, whose mean speed is the condition", default="")
+    channel: str = text("channel whose mean is the condition")
+    tacho: str = text("channel with tacho pulses, whose mean speed is the condition")
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
 
     def __post_init__(self) -> None:

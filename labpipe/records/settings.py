@@ -514,6 +514,11 @@ def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
     return setting("value", help, unit=unit, default=default)
 
 
+def text(help: str) -> Any:
+    """A dataclass field of a text, empty by default: a setting of the kind text."""
+    return setting("text", help, default="")
+
+
 def section(help: str, owner: type, default: Any = MISSING) -> Any:
     """A dataclass field of a mapping with the settings of *owner*: a setting of the kind section."""
     return setting("section", help, section=owner, default=default)

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
-from labpipe.records.settings import Settings, quantity, section, setting, settings_of
+from labpipe.records.settings import Settings, quantity, section, setting, settings_of, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
@@ -181,14 +181,14 @@ class CompareSettings(Settings):
     """
 
     kind: str = setting("choice", "kind of comparison", choices=tuple(COMPARISONS))
-    fit: str = setting("text", "fit whose parameter is compared", default="")
-    term: str = setting("text", "diagonal term of a fit of peaks", default="")
+    fit: str = text("fit whose parameter is compared")
+    term: str = text("diagonal term of a fit of peaks")
     parameter: str = setting("text", "parameter that is compared", default="k")
     over: tuple[str, ...] = setting(
         "names", "condition over which tests are ordered or paired, or two of them", default=()
     )
     tolerance: float = quantity("values closer than this share of the largest are one", "1", 1e-6)
-    group: str = setting("text", "condition that makes the groups; default: each test is one", default="")
+    group: str = text("condition that makes the groups; default: each test is one")
     groups: tuple[str, ...] = setting("names", "the two groups, the second against the first", default=())
     law: str = setting("choice", "straight line, or power law", choices=LAWS, default="line")
     setting_error: float = quantity("relative standard error of setting the condition", "1", 0.0)

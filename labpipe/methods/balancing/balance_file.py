@@ -27,7 +27,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, parse_phasor, quantity, setting
+from labpipe.records.settings import Settings, parse_phasor, quantity, setting, text
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -39,14 +39,12 @@ Vectors = tuple[dict[str, complex], dict[str, complex]]
 class BalanceSettings(Settings):
     """The plain entries of a balance file; planes and runs are read by themselves."""
 
-    title: str = setting("text", "title of the result", default="")
+    title: str = text("title of the result")
     _: KW_ONLY
     repeatability: float = quantity(
         "scatter of a reading as a vector when nothing is changed, as a share of it (standard)", "1", 0.02
     )
-    noise: str = setting(
-        "text", "scatter of each of its parts that does not depend on it, e.g. 0.2 um (standard)", default=""
-    )
+    noise: str = text("scatter of each of its parts that does not depend on it, e.g. 0.2 um (standard)")
     mass: float | None = quantity("mass of the rotor, for a grade", "kg", None)
     speed: float | None = quantity("service speed, for a grade", "Hz", None)
     grade: float | None = quantity("balance quality grade asked for, e.g. 2.5 mm/s for G 2.5", "m/s", None)

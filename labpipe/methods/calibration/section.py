@@ -21,7 +21,7 @@ from labpipe.raw_files.table import Table, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, setting, text
 
 CURVATURE_P = 0.01
 # Residuals below this part of the points are rounding.
@@ -154,9 +154,9 @@ class CalibrationSettings(Settings):
     x: str = setting("text", "column of the known or set value")
     y: str = setting("text", "column of the answer")
     _: KW_ONLY
-    x_unit: str = setting("text", "unit of x; default: in brackets behind the column's name", default="")
-    y_unit: str = setting("text", "unit of y; default: in brackets behind the column's name", default="")
-    group: str = setting("text", "column by which the table falls into several lines", default="")
+    x_unit: str = text("unit of x; default: in brackets behind the column's name")
+    y_unit: str = text("unit of y; default: in brackets behind the column's name")
+    group: str = text("column by which the table falls into several lines")
     x_power: int = setting(
         "integer", "x enters as this power: 2 for a string's force over its frequency", default=1
     )

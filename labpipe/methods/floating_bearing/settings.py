@@ -27,7 +27,7 @@ from labpipe.methods.floating_bearing.stator import ONE_DIRECTION, Stator
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, setting, text
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 from labpipe.registry import nearest
@@ -368,7 +368,7 @@ class DynamicStiffnessSettings(Settings):
     stator_mass: Uncertain | None = setting(
         "uncertain", "mass of the stator with its uncertainty; default: `mass`", unit="kg", default=None
     )
-    baseline: str = setting("text", "an earlier fit of what holds the stator, or its test", default="")
+    baseline: str = text("an earlier fit of what holds the stator, or its test")
     baseline_stiffness: Uncertain | None = setting(
         "uncertain", "of what holds the stator, in x and y", unit="N/m", default=None
     )

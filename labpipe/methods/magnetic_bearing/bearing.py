@@ -26,7 +26,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, section, setting, settings_of
+from labpipe.records.settings import Settings, quantity, section, setting, settings_of, text
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -138,7 +138,7 @@ class MagneticFile(Settings):
     """
 
     kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
-    name: str = setting("text", "name of the bearing", default="")
+    name: str = text("name of the bearing")
     mass: float = quantity("mass that this bearing carries, for poles and sensitivity", "kg")
     speed: float | None = quantity("speed of the shaft, in Hz or rpm", "Hz", None)
     frequency: float | None = quantity("frequency of the motion; default: the speed", "Hz", None)

@@ -23,7 +23,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, setting, text
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -41,10 +41,10 @@ class CertificateSettings(Settings):
         "names", "responses ahead of the sums at which excitations are added, one per loop", default=()
     )
     after: tuple[str, ...] = setting("names", "responses behind those sums, one per loop", default=())
-    test: str = setting("text", "test whose loop it is, where the pipeline has several", default="")
-    output: str = setting("text", "response that is the command behind the controller, [V]", default="")
-    displacement: str = setting("text", "response that is the reading of the probe", default="")
-    current: str = setting("text", "response that is the current", default="")
+    test: str = text("test whose loop it is, where the pipeline has several")
+    output: str = text("response that is the command behind the controller, [V]")
+    displacement: str = text("response that is the reading of the probe")
+    current: str = text("response that is the current")
     injection: str = setting(
         "choice",
         "where the excitation is added: the controller's side",

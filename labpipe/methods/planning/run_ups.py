@@ -41,7 +41,7 @@ from labpipe.methods.run_ups.rotor import (
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
-from labpipe.records.settings import Settings, quantity, section, setting
+from labpipe.records.settings import Settings, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -72,7 +72,7 @@ class TrialSettings(Settings):
     unbalance: tuple[tuple[str, complex], ...] = setting(
         "phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
     )
-    shaker: str = setting("text", "plane on which a shaker acts, along x, instead", default="")
+    shaker: str = text("plane on which a shaker acts, along x, instead")
     force: float = quantity("of the shaker, 0-to-peak", "N", 1.0)
     ratio: float = quantity("frequency of the shaker over that of the shaft", "1", 0.95)
 

@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, quantity, section, setting
+from labpipe.records.settings import Settings, Uncertainties, quantity, section, setting, text
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -82,7 +82,7 @@ class TheorySettings(Settings):
     load: float | None = quantity("in place of the bearing file's `load`", "N", None)
     speed: float | None = quantity("in place of the file's `speed`", "Hz", None)
     rotor: str = setting("file", "or a rotor file", default="", file_kind="rotor", into="rig")
-    name: str = setting("text", "bearing of the rotor file; default: the last one", default="")
+    name: str = text("bearing of the rotor file; default: the last one")
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:
@@ -129,7 +129,7 @@ class PlanSettings(SignalSettings):
     earlier: str = setting(
         "file", "identification.json whose values are expected where `expected` has none", default=""
     )
-    fit: str = setting("text", "the fit of `earlier`; default: its only one", default="")
+    fit: str = text("the fit of `earlier`; default: its only one")
     combine_earlier: bool = setting(
         "flag", "the earlier result counts: it and the new test are combined", default=False
     )

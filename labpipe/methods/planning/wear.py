@@ -35,7 +35,7 @@ from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, quantity, section, setting
+from labpipe.records.settings import Settings, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -79,7 +79,7 @@ class WearPlanSettings(Settings):
         "bands", "bands that can be excited, one at a time", unit="Hz"
     )
     force: float = quantity("rms of the shaker's white force, in whatever band", "N")
-    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    bearing: str = text("name of the worn bearing; default: the last one")
     loads: tuple[float, ...] = setting(
         "values",
         "static forces on the shaft that can be set, up; default: as in the file",

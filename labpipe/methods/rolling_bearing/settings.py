@@ -17,7 +17,7 @@ from scipy import special
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.loads import DOFS, LOADS, RigidShaft, RollingBearing
-from labpipe.records.settings import Settings, quantity, section, setting
+from labpipe.records.settings import Settings, quantity, section, setting, text
 
 
 @dataclass(frozen=True)
@@ -255,7 +255,7 @@ class RollingSettings(Settings, ABC):
 
     kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))
     elements: int = setting("integer", "number of rolling elements")
-    name: str = setting("text", "name of the bearing", default="")
+    name: str = text("name of the bearing")
     contact_angle: float = quantity("unloaded contact angle", "rad", 0.0)
     clearance: float = quantity("radial clearance, half the diametral one; negative: interference", "m", 0.0)
     cage_angle: float = quantity("angle of the first element from x", "rad", 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BearingCoefficients, BearingKind
 from labpipe.errors import SettingError
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, setting, text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +17,7 @@ class LinearBearingSettings(Settings):
     """kind: linear-bearing; y horizontal, z up, `k_yz` = force in y per displacement in z."""
 
     kind: str = setting("choice", "which bearing", choices=("linear-bearing",))
-    name: str = setting("text", "name of the bearing", default="")
+    name: str = text("name of the bearing")
     k_yy: float = setting("value", "stiffness in y", unit="N/m")
     k_zz: float | None = setting("value", "stiffness in z; default: k_yy", unit="N/m", default=None)
     k_yz: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)

@@ -15,7 +15,7 @@ from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor,
 from labpipe.project.bearing_file import kind_of, setting_at, taken_uncertainties
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_setting, read_settings
-from labpipe.records.settings import FileKind, Setting, Settings, quantity, setting
+from labpipe.records.settings import FileKind, Setting, Settings, quantity, setting, text
 from labpipe.records.uncertain import uncertainty_of
 from labpipe.registry import nearest
 
@@ -27,8 +27,8 @@ class RotorSettings(Settings):
     """The plain entries of a rotor file (its lists are read by themselves)."""
 
     speed: float = quantity("speed of the shaft, in Hz or rpm", "Hz")
-    name: str = setting("text", "name of the rotor, as the report shows it", default="")
-    description: str = setting("text", "what a reader should know of the rotor", default="")
+    name: str = text("name of the rotor, as the report shows it")
+    description: str = text("what a reader should know of the rotor")
     force: int = setting("integer", "node on which the rig is excited", default=1)
     response: int = setting("integer", "node at which displacements are measured", default=1)
 
@@ -113,7 +113,7 @@ class SleeveSettings(Settings):
     outer_diameter: float = quantity("outer diameter", "m")
     material: str = _material()
     stiffening: float = quantity("factor on the stiffness of the element", "1", 1.0)
-    name: str = setting("text", "sleeves of one name have one unknown stiffening", default="")
+    name: str = text("sleeves of one name have one unknown stiffening")
 
 
 @dataclass(frozen=True)

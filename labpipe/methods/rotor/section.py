@@ -22,7 +22,7 @@ from labpipe.project.rules import Rule
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, setting, text
 from labpipe.registry import nearest
 from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
@@ -105,7 +105,7 @@ class UnbalanceSettings(Settings):
         needed=True,
     )
     step: float = quantity("step of speed", "Hz", 0.5)
-    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    bearing: str = text("name of the worn bearing; default: the last one")
     rig: RotorRig | None = None
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import ESTIMATED
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, section, setting
+from labpipe.records.settings import Settings, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -45,11 +45,9 @@ class SystemTest(Settings):
         "what was measured: modes of the free rotor, an FRF, a run-up, deflections",
         choices=tuple(KEYS),
     )
-    fit: str = setting(
-        "text",
+    fit: str = text(
         "modes: a modal fit of this pipeline, of the rotor on soft strings; response: one of this FRF, whose "
-        "natural frequencies are held against those of the free rotor",
-        default="",
+        "natural frequencies are held against those of the free rotor"
     )
     frequencies: tuple[str, ...] = setting(
         "names", "in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]", default=()
@@ -58,7 +56,7 @@ class SystemTest(Settings):
     numbers: tuple[float, ...] = setting(
         "values", "modes: which bending modes these are; default: 1, 2, 3 ...", unit="1", default=()
     )
-    test: str = setting("text", "response: the test of this pipeline with the FRF", default="")
+    test: str = text("response: the test of this pipeline with the FRF")
     places: tuple[tuple[str, str], ...] = setting(
         "texts",
         "where dofs (response: {d1: 3 y}) or planes (run-up: {disc 1: 5}) are on the rotor",
@@ -140,13 +138,13 @@ class SystemTest(Settings):
     def read_deflections(self) -> list[tuple[tuple[int, str], tuple[int, str], Uncertain]]:
         """(place, place of the force, deflection per force [m/N])."""
         read: list[tuple[tuple[int, str], tuple[int, str], Uncertain]] = []
-        for path, text in self.deflections:
+        for path, stated in self.deflections:
             output, mark, force = path.partition("/")
             if not mark:
                 raise UnitError(f"'{path}' is no pair of places", "write 5 z / 10 z")
-            number, places = parse_uncertain(text, "m/N"), (place_of(output), place_of(force))
+            number, places = parse_uncertain(stated, "m/N"), (place_of(output), place_of(force))
             if number.std_error <= 0:
-                raise UnitError(f"'{text}' needs its uncertainty", f"write {text} +- 2 %")
+                raise UnitError(f"'{stated}' needs its uncertainty", f"write {stated} +- 2 %")
             if places in [other[:2] for other in read]:
                 raise UnitError(f"'{path}' stands there twice", "write one deflection of each pair")
             read.append((*places, number))

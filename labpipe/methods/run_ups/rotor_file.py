@@ -17,7 +17,7 @@ from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join
-from labpipe.records.settings import FileKind, Settings, setting
+from labpipe.records.settings import FileKind, Settings, setting, text
 from labpipe.registry import nearest
 
 OWN_LISTS = ("elements", "discs", "sleeves", "unbalances")
@@ -33,17 +33,15 @@ NEEDED = {
 class PinnedSettings(Settings):
     """The plain entries of a rotor file with pins."""
 
-    name: str = setting("text", "name of the rotor, as the report shows it", default="")
-    description: str = setting("text", "what a reader should know of the rotor", default="")
+    name: str = text("name of the rotor, as the report shows it")
+    description: str = text("what a reader should know of the rotor")
     speeds: tuple[float, float] | None = setting(
         "band",
         "range of the critical speeds, thresholds up to twice its end; default: that of the run-ups",
         unit="Hz",
         default=None,
     )
-    coefficients: str = setting(
-        "text", "FILE#NAME: a metamodel of an identification.json, instead of the film", default=""
-    )
+    coefficients: str = text("FILE#NAME: a metamodel of an identification.json, instead of the film")
 
     def __post_init__(self) -> None:
         if self.speeds is not None and self.speeds[0] <= 0:

@@ -14,7 +14,7 @@ from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, Probe
 from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, quantity, section, setting
+from labpipe.records.settings import Settings, quantity, section, setting, text
 from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
 
@@ -83,11 +83,11 @@ class RunSettings(Settings):
     file: str = _file("table of the run-up (CSV), relative to the pipeline file", "path", "path")
     recording: str = _file("time recording of the run-up with a tacho, instead of a table", "path", "path")
     rig: str = _file("rig file of a raw recording; dofs name planes: disc1.x, disc1.y", "rig", "recorded_by")
-    tacho: str = setting("text", "channel with the tacho's pulses", default="")
+    tacho: str = text("channel with the tacho's pulses")
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
     harmonics: int = setting("integer", "multiples of the speed fitted along", default=2)
     revolutions: int = setting("integer", "revolutions of one stretch", default=20)
-    name: str = setting("text", "name of the run; default: the file's", default="")
+    name: str = text("name of the run; default: the file's")
     role: str = setting("choice", "fits see trained runs only", choices=(TRAINED, HELD_OUT), default=TRAINED)
     load: float | None = quantity("static load; default: the table's", "N", None)
     threshold: Uncertain | None = setting(
@@ -159,16 +159,12 @@ class RunSettings(Settings):
 class ProbeSettings(Settings):
     """Standard uncertainties of the probes of all runs, or as brackets say, as in a rig file."""
 
-    gain: str = setting(
-        "text",
-        "of every probe, relative: 1 %, or 2 % (k=2), or 1 % (source=calibrator) of all together",
-        default="",
+    gain: str = text(
+        "of every probe, relative: 1 %, or 2 % (k=2), or 1 % (source=calibrator) of all together"
     )
-    phase: str = setting("text", "of every probe, at every speed alike: 0.5 deg", default="")
-    delay: str = setting("text", "of every probe's chain: 5 us", default="")
-    keyphasor: str = setting(
-        "text", "of the keyphasor's angle, which turns all phasors alike: 1 deg", default=""
-    )
+    phase: str = text("of every probe, at every speed alike: 0.5 deg")
+    delay: str = text("of every probe's chain: 5 us")
+    keyphasor: str = text("of the keyphasor's angle, which turns all phasors alike: 1 deg")
     uncertainties: ProbeUncertainties = ProbeUncertainties()
 
     def __post_init__(self) -> None:
@@ -206,7 +202,7 @@ class RunUpSettings(Settings):
     metamodels_of: str = setting(
         "choice", "the method whose coefficients they are fitted to", choices=tuple(METHODS), default="joint"
     )
-    plane: str = setting("text", "plane of the critical speeds; default: the last one", default="")
+    plane: str = text("plane of the critical speeds; default: the last one")
     bound: float = quantity("largest change of a coefficient (amplitudes, points)", "1", 0.3)
     ridge: float = quantity("standard deviation of that change before a run is seen (points)", "1", 0.15)
     known: tuple[str, ...] = setting(
@@ -217,7 +213,7 @@ class RunUpSettings(Settings):
         "integer", "starts of that search at one load and speed, to show their spread", default=20
     )
     seed: int = setting("integer", "of random starts and networks", default=1)
-    source: str = setting("text", "where the printed values are from", default="")
+    source: str = text("where the printed values are from")
     probes: ProbeSettings = section(
         "uncertainties of the probes of tables; a recording has those of its rig file",
         ProbeSettings,

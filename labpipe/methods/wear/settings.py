@@ -16,7 +16,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, quantity, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -65,7 +65,7 @@ class WearSettings(Settings):
 
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     _: KW_ONLY
-    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    bearing: str = text("name of the worn bearing; default: the last one")
     healthy: bool = setting("flag", "no wear: tune viscosity, clearance, ... to a healthy rig", default=False)
     response: str = setting(
         "choice", "in y and z (FRF), or forward and backward (dFRF)", choices=RESPONSES, default="FRF"
@@ -102,9 +102,7 @@ class WearSettings(Settings):
         "estimated along, e.g. -0.1 bar +- 0.1 bar; zero or negative", "Pa"
     )
     beta: Uncertain | None = nuisance("damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", "s")
-    prior: str = setting(
-        "text", "an earlier fit of this pipeline (a tuning) whose posterior is the prior", default=""
-    )
+    prior: str = text("an earlier fit of this pipeline (a tuning) whose posterior is the prior")
     same_wear: bool = setting(
         "flag", "the fit of `prior` was of this same wear: its depth and angle are known too", default=False
     )

@@ -17,7 +17,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
+from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting, text
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
@@ -44,7 +44,7 @@ class VirtualJournalRig(Settings):
     kind: str = setting("choice", "which virtual rig", choices=(KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
-    bearing: str = setting("text", "name of the worn bearing; default: the last one", default="")
+    bearing: str = text("name of the worn bearing; default: the last one")
     viscosity_error: float = quantity("true viscosity over the rotor file's, less one", "1", 0.0)
     clearance_error: float = quantity("true clearance over the rotor file's, less one", "1", 0.0)
     cavitation_pressure: float | None = quantity(
