@@ -410,13 +410,15 @@ def parts_of_single_forces(
         freedoms = _freedoms(spectra, layout)
         if apart:
             # nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces.
-            less = freedoms - len(layout.outputs)
-            dof, freedoms = float(np.sum(freedoms / less) / np.sum(1 / less)), freedoms[:, None, None]
+            of_weights = freedoms - len(layout.outputs)
+            dof = float(np.sum(freedoms / of_weights) / np.sum(1 / of_weights))
+            freedoms = freedoms[:, None, None]
         else:
-            left = np.einsum("lioo->loi", noise).real
+            noise_power = np.einsum("lioo->loi", noise).real
             # Levels of every response would turn what all of them share.
             is_shared = common_share(noise, freedoms) > MOST_SHARED
-            size = np.ones((n_input, left.shape[1])) if is_shared else np.sqrt(noise_levels(left, freedoms)).T
+            levels = np.ones(noise_power.shape[1:]) if is_shared else noise_levels(noise_power, freedoms)
+            size = np.sqrt(levels).T
             pooled = pooled_residual(noise.sum(axis=1), response, half_width)
             noise, freedoms = pooled[:, None] * (size[:, :, None] * size[:, None, :]), np.array(dof)
         elements = np.arange(response[0].size).reshape(-1, n_input).T

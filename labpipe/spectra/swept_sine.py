@@ -338,9 +338,9 @@ def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray) -> Parts:
     projection = inverse @ forces
     leverage = np.einsum("lbb->lb", projection).real
     shared = (local.free.sum() - local.dof) / n_input
-    left = np.diag(local.free - 2 * shared * leverage.mean(axis=0))
-    left += shared * np.mean(abs(projection) ** 2, axis=0)
-    of_blocks = np.linalg.solve(left, local.of_blocks) * (local.dof * filled / filled.sum())[:, None]
+    remaining = np.diag(local.free - 2 * shared * leverage.mean(axis=0))
+    remaining += shared * np.mean(abs(projection) ** 2, axis=0)
+    of_blocks = np.linalg.solve(remaining, local.of_blocks) * (local.dof * filled / filled.sum())[:, None]
     # Blocks by their recording, and the force that is at its strongest.
     size = np.mean(np.abs(forces) ** 2, axis=0)
     strongest = np.argmax(size / np.max(size, axis=1, keepdims=True), axis=0)
@@ -414,8 +414,8 @@ def _noise(spectra: _Spectra, residual: ComplexArray, n_input: int) -> tuple[Com
     if n_block <= n_input:
         return local.noise, local.dof / local.width, local.width
     # What was taken out as leakage holds its share of the noise.
-    left = (n_block - n_input) * (1 - float(np.mean(local.spread)) if spectra.leaking else 1.0)
-    return residual @ hermitian(residual) / left, left, 1
+    dof = (n_block - n_input) * (1 - float(np.mean(local.spread)) if spectra.leaking else 1.0)
+    return residual @ hermitian(residual) / dof, dof, 1
 
 
 def _bursts(
@@ -477,7 +477,7 @@ def _low_by_noise(
     for force, of_force in enumerate((size == size.sum(axis=1, keepdims=True)).T):
         pairs = itertools.combinations(np.flatnonzero(of_force), 2)
         alike = (list(pair) for pair in pairs if sweeps[pair[0]].is_like(sweeps[pair[1]]))
-        found = []
+        of_pairs = []
         for pair in itertools.islice(alike, MOST_PAIRS):
             u, v = forces[pair, :, force]
             cross = np.zeros(n_sample, np.complex128)
@@ -486,9 +486,9 @@ def _low_by_noise(
             cross = cross[lines] * np.exp(2j * np.pi * lines * late / n_sample)
             means = (neighbourhood_mean(x, every, COHERENT) for x in (cross, np.abs(u) ** 2, np.abs(v) ** 2))
             shared, one, other = means
-            found.append(np.sqrt(one * other) / np.abs(shared) - 1)
-        if found:
-            low[force] = np.mean(found, axis=0) * (1 - 1 / np.count_nonzero(of_force))
+            of_pairs.append(np.sqrt(one * other) / np.abs(shared) - 1)
+        if of_pairs:
+            low[force] = np.mean(of_pairs, axis=0) * (1 - 1 / np.count_nonzero(of_force))
     nothing = np.zeros(lines.size)
     of_runs = (max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns)
     return [low.get(force, nothing) for force in of_runs]

@@ -157,8 +157,8 @@ class FollowedFit:
         """
         if not self._block or "zeta" not in now:
             return {}
-        left = math.exp(-2 * math.pi * now["f_n"] * max(now["zeta"], 0.0) * self._block)
-        return {name: NORMAL * left / math.sqrt(2) * abs(now[name]) for name in self.model.names}
+        remainder = math.exp(-2 * math.pi * now["f_n"] * max(now["zeta"], 0.0) * self._block)
+        return {name: NORMAL * remainder / math.sqrt(2) * abs(now[name]) for name in self.model.names}
 
     def response(self) -> FrequencyResponse | None:
         """The FRFs on the fit's lines by all averages so far; None before every direction had two."""

@@ -73,7 +73,7 @@ class PeriodSums:
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
-    The mean is [H; 1], its covariance that of H; *force_power*
+    An average counts by the energy of its force. The mean is [H; 1], its covariance that of H; *force_power*
     (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages.
     """
 
@@ -316,7 +316,7 @@ class RunningFit:
             if number:
                 inverse = self._weight(mean, covariance, values)[1]
                 weight = np.linalg.cholesky(inverse).conj().swapaxes(-1, -2)
-                design, right = (weight @ slopes), (weight @ side[..., None])[..., 0]
+                design, right = weight @ slopes, (weight @ side[..., None])[..., 0]
             rows = np.concatenate([part.reshape(-1, n_parameter) for part in (design.real, design.imag)])
             sides = np.concatenate([right.real.ravel(), right.imag.ravel()])
             size = np.linalg.norm(rows, axis=0)
@@ -353,7 +353,7 @@ def scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """An information (n_parameter, n_parameter) [1/unit^2] with the diagonal 1, and its scale [1/unit]."""
     scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0
-    return (information / np.outer(scale, scale)), scale
+    return information / np.outer(scale, scale), scale
 
 
 def normal_equations(

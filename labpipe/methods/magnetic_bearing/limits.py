@@ -304,7 +304,7 @@ def recorded_loop(
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
         # Changes of the predicted signals: in proportion to measured ones a gain would shrink their noise
         # with them. What is common to all of them is added then, and cancels to the last digit.
-        uncertainties = matrix_errors(_at(measured, predict(changed, support)))
+        uncertainties = matrix_errors(_prediction_of(measured, predict(changed, support)))
         if not acceptance.before:
             return uncertainties
         per = per_added(changed)
@@ -318,11 +318,13 @@ def recorded_loop(
     return LoopObservation(measured, predict, file, nuisance=nuisance, errors=errors, left_out=left_out)
 
 
-def _at(measured: Measured, predicted: ComplexArray) -> Measured:
-    """What is *predicted* (n_line, n_signal, 1), with its own changes."""
-    here = measured.matrix
-    near = np.abs(here) > np.abs(predicted) / MOST_SCALED
-    ratio = np.divide(predicted, here, out=np.ones_like(here), where=near)
+def _prediction_of(measured: Measured, predicted: ComplexArray) -> Measured:
+    """The responses *predicted* (n_line, n_signal, 1) [SI] in place of the measured ones, whose errors change
+    them in proportion: those in proportion to what was measured would have its noise.
+    """
+    matrix = measured.matrix
+    near = np.abs(matrix) > np.abs(predicted) / MOST_SCALED
+    ratio = np.divide(predicted, matrix, out=np.ones_like(matrix), where=near)
     errors = tuple(replace(error, change=error.change * ratio) for error in measured.errors)
     return replace(measured, matrix=predicted, errors=errors)
 

@@ -174,10 +174,10 @@ def _without_prior(fit: Fit, solved: _Solved, wear: WearSettings) -> tuple[Fit, 
     parameters = list(fit.parameters)
     for number, parameter in enumerate(parameters):
         if (error := parameter.std_error) and (ends := parameter.ci95) is not None:
-            left = 1 - float(np.sum(changes[:, number] ** 2)) / error**2
-            left, value = max(left, ROUNDING**2) ** 0.5, parameter.value
-            low, high = (value + left * (end - value) for end in ends)
-            parameters[number] = replace(parameter, std_error=left * error, ci95=(low, high))
+            of_prior = float(np.sum(changes[:, number] ** 2)) / error**2
+            ratio, value = max(1 - of_prior, ROUNDING**2) ** 0.5, parameter.value
+            low, high = (value + ratio * (end - value) for end in ends)
+            parameters[number] = replace(parameter, std_error=ratio * error, ci95=(low, high))
     # Another tuning of the same name has other values, and errors of its own.
     names = [
         Uncertainty(f"{wear.prior}.{name} = {mean:.6g} {UNITS[name]}", error, UNITS[name])

@@ -239,14 +239,14 @@ def check_after(settings: FitSettings, earlier: FitSettings) -> None:
     """ConfigError for a prior of other films, or another shaft, than the rotor file of this fit has."""
     wear, tuned = settings.model_settings, earlier.model_settings
     for name in wear.nuisance_prior.names:
-        before, now = (_numbers(each.rig, name) for each in (tuned, wear))
+        before, now = (_stated_in_file(each.rig, name) for each in (tuned, wear))
         if before != now:
             what = f"wear.prior: '{wear.prior}' tuned {name}, {before} {UNITS[name]} in its rotor file"
             hint = f"give {name} with its uncertainty in place of `prior`"
             raise ConfigError(f"{what}, and {now} {UNITS[name]} in that of this fit", hint=hint)
 
 
-def _numbers(rig: RotorRig | None, name: str) -> str:
+def _stated_in_file(rig: RotorRig | None, name: str) -> str:
     """What a rotor file says of a parameter, the films one after the other; none of wear [SI units]."""
     if rig is None or name in (DEPTH, ANGLE):
         return ""
