@@ -132,6 +132,16 @@ def number(value: float, digits: int = PLAIN_DIGITS) -> str:
     return f"{value:.{digits}g}" if math.isfinite(value) else NOT_DETERMINED
 
 
+def per_cent(share: float) -> str:
+    """A share [1] by its two leading digits, as people read it: '0.013 %', and '130 %' for 1.34."""
+    return f"{float(f'{100 * share:.2g}'):g} %"
+
+
+def counted(amount: int, what: str) -> str:
+    """So many of *what*: '1 hit', '2 hits'."""
+    return f"{amount} {what}{'s' if amount != 1 else ''}"
+
+
 def with_error(value: float, error: float | None, unit: str = "", sign: str = "±") -> str:
     """One text, value and uncertainty in *unit*: '134.4981 ± 0.0087 kN/m', '(1.234 ± 0.011)e-7'."""
     value_text, error_text = written(value, error)

@@ -14,7 +14,7 @@ from labpipe.artefacts.writing import output_file, output_folder
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties
 from labpipe.cli import options
 from labpipe.cli.output import echo, for_terminal
-from labpipe.display import amount_text, plain_text, significant
+from labpipe.display import amount_text, per_cent, plain_text, significant
 from labpipe.project.bearing import (
     Evaluated,
     bearing_entry,
@@ -129,7 +129,7 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
         echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
         return
     ranges = ", ".join(
-        f"{dof} +- {100 * part:.2g} %" for dof, part in zip(coefficients.dofs, spread, strict=True)
+        f"{dof} +- {per_cent(part)}" for dof, part in zip(coefficients.dofs, spread, strict=True)
     )
     echo(for_terminal(f"over one ball passage the direct stiffness varies: {ranges}"))
 

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.display import amount_text, chance_text, change_text, difference_in, shown_unit
+from labpipe.display import amount_text, chance_text, change_text, difference_in, per_cent, shown_unit
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.derived import Estimated, correct
@@ -58,7 +58,7 @@ def _contradiction(uncertainty: Uncertainty, pulls: Pulls, number: int, values: 
     size, unit = uncertainty.std_error, uncertainty.unit
     asked, error = pulls.asked[number] * size, pulls.error[number] * size
     relative = unit == "1"
-    stated = f"{100 * size:.2g} %" if relative else amount_text(size, None, unit)
+    stated = per_cent(size) if relative else amount_text(size, None, unit)
     if uncertainty.source in values:
         wanted = amount_text(values[uncertainty.source] + asked, error, unit, "+-")
     elif relative:

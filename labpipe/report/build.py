@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from typing import Any
 
+from labpipe.display import counted
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import Identification, of_points
 from labpipe.records.sections import section
 from labpipe.registry import Registry, nearest
-from labpipe.report.cover import cover_facts, result_blocks, rule_blocks, section_facts
+from labpipe.report.cover import all_hold, cover_facts, result_blocks, rule_blocks, section_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
@@ -63,8 +64,8 @@ def _verdict(identification: Identification) -> tuple[Block, ...]:
 def _judgement(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     kinds = len(_by_code(identification, WARNING))
-    limit = "kind(s) of warning below limit how far the numbers can be trusted."
-    uncertainty = f"{kinds} {limit}" if kinds else "No warnings."
+    limit = "of warning below: what limits how far the numbers can be trusted."
+    uncertainty = f"{counted(kinds, 'kind')} {limit}" if kinds else "No warnings."
     serious = _not_to_be_signed(identification)
     if not outcomes:
         text = f"No acceptance rules were given, so nothing is accepted or refused. {uncertainty}"
@@ -74,7 +75,7 @@ def _judgement(identification: Identification) -> tuple[Block, ...]:
         lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail. {uncertainty}", "failed")
     else:
         missing = _not_checked(identification)
-        text = f"ACCEPTED: all {len(outcomes)} rules hold. {uncertainty}{missing}"
+        text = f"ACCEPTED: {all_hold(outcomes)}. {uncertainty}{missing}"
         lead = Paragraph(text, "note" if missing else "passed")
     # Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could
     # compare with

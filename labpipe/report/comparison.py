@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.display import number, written
+from labpipe.display import number, per_cent, written
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedBand, ComparedPoint, Comparison, Comparisons, Overlay
 from labpipe.records.finding import WARNING, Parameter, of_level
@@ -234,7 +234,7 @@ def _pair(comparison: Comparison, point: ComparedPoint, response: FrequencyRespo
         [over_frequency(chart.Axis(f"{response.form} (SI)", logarithmic=True), series)], 3.0
     )
     both = f"{first}/{second} and {second}/{first}"
-    caption = f"{comparison.name}, test {point.test}: {both}; rms difference {100 * point.value:.2g} %."
+    caption = f"{comparison.name}, test {point.test}: {both}; rms difference {per_cent(point.value)}."
     return Figure(graphic, caption, f"Reciprocity of {point.group} in test {point.test}")
 
 

@@ -36,7 +36,7 @@ def coverage_figure(matrix: comparison.ConditionMatrix) -> list[Figure]:
     for point in matrix.points:
         counts[point.place[1], point.place[0]] += len(point.tests)
     texts = [[str(count) if count else "none" for count in row] for row in counts]
-    graphic = _map(matrix.axes, counts / max(counts.max(), 1) * 0.6, texts, "number of tests")
+    graphic = _map(matrix.axes, counts / max(counts.max(), 1), texts, "tests / most tests")
     return [Figure(graphic, "Tests at each combination of conditions.", f"Map of the tests of {matrix.name}")]
 
 
@@ -105,7 +105,7 @@ def _value_map(matrix: comparison.ConditionMatrix, name: str, having: Sequence[V
         values[point.place[1], point.place[0]] = to_display(value.parameter.value, unit)
     largest = float(np.nanmax(np.abs(values))) or 1.0
     texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
-    graphic = _map(matrix.axes, np.nan_to_num(values / largest), texts, name)
+    graphic = _map(matrix.axes, np.nan_to_num(values / largest), texts, f"{name} / largest")
     where = f" at {at}" if at else ""
     caption = f"{titled(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
     return Figure(graphic, caption, f"Map of {name} of {matrix.name}")

@@ -6,7 +6,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from labpipe.display import difference_in, plain_text, shown_unit, two_digits, with_error, written
+from labpipe.display import (
+    counted,
+    difference_in,
+    per_cent,
+    plain_text,
+    shown_unit,
+    two_digits,
+    with_error,
+    written,
+)
 from labpipe.quantities import to_display
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import (
@@ -35,6 +44,11 @@ def rule_blocks(outcomes: Sequence[RuleOutcome], place: str = "") -> tuple[Block
     )
     caption = f"Rules of the pipeline; {SIMPLE_ACCEPTANCE}{place}"
     return (Table(("section", "rule", "found", "outcome"), rows, caption), *decision_blocks(outcomes))
+
+
+def all_hold(outcomes: Sequence[RuleOutcome]) -> str:
+    """That none of the rules fails."""
+    return f"all {len(outcomes)} rules hold" if len(outcomes) > 1 else "the one rule holds"
 
 
 def decision_blocks(outcomes: Sequence[RuleOutcome]) -> tuple[Block, ...]:
@@ -121,7 +135,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
     facts = {
         "rig": _each_once(rigs),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
-        "tests": f"{len(tests)} measured, from {len(sources)} source file(s)" if tests else "",
+        "tests": f"{len(tests)} measured, from {counted(len(sources), 'source file')}" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
         **{
             key: few(list(dict.fromkeys(values)), MOST_VALUES)
@@ -162,8 +176,11 @@ def result_blocks(identification: Identification) -> tuple[Block, ...]:
     if not rows:
         return ()
     header = ("result of", "coefficient", "value with its 95 % interval", "relative", "why it is so wide")
-    more = f"; {len(rows) - MOST_RESULTS} more follow behind" if len(rows) > MOST_RESULTS else ""
-    table = Table(header, tuple(rows[:MOST_RESULTS]), f"Results{more}")
+    # The first page ends with a whole result.
+    ends = [n for n in range(1, MOST_RESULTS + 1) if n == len(rows) or (n < len(rows) and rows[n][0])]
+    shown = ends[-1] if ends else MOST_RESULTS
+    more = f"; {len(rows) - shown} more values further down" if len(rows) > shown else ""
+    table = Table(header, tuple(rows[:shown]), f"Results{more}")
     is_alone = len(fits) == 1 and len(rows) + len(identification.outcomes) <= FEW_ROWS
     for fit in fits:
         if fit.curve is not None and len(fit.curve.outputs) * len(fit.curve.inputs) <= MOST_ELEMENTS:
@@ -205,7 +222,7 @@ def _in_print(parameter: Parameter, has_warnings: bool) -> tuple[str, str]:
     half = (high - low) / 2
     unit = shown_unit(parameter.unit, parameter.value, half)
     value, ends = to_display(parameter.value, unit), [to_display(end, unit) for end in parameter.ci95]
-    relative = f"± {100 * half / abs(parameter.value):.2g} %" if parameter.value else ""
+    relative = f"± {per_cent(half / abs(parameter.value))}" if parameter.value else ""
     if abs((low + high) / 2 - parameter.value) <= EVEN * half:
         return with_error(value, difference_in(half, unit), legible(unit)), relative
     number, _, *limits = written(value, difference_in(half, unit), *ends)

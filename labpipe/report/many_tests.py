@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from labpipe.display import difference_in, two_digits, written
+from labpipe.display import counted, difference_in, two_digits, written
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, stack
-from labpipe.report.cover import rule_blocks
+from labpipe.report.cover import all_hold, rule_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
 from labpipe.report.wording import few, legible
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
@@ -144,7 +144,7 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
         "rig": str(identification.rig.get("name", "")),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{index.tests} evaluated" + (f", {index.failed} failed" if index.failed else ""),
-        "results": f"{index.rows} rows in {len(identification.inputs)} file(s) below dataset/",
+        "results": f"{index.rows} rows in {counted(len(identification.inputs), 'file')} below dataset/",
         "pipeline": identification.pipeline,
         "computed by": f"labpipe {identification.version}",
     }
@@ -172,9 +172,9 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
         blocks.append(Paragraph(text, "failed"))
     elif not index.failed:
         kinds = len(index.of_level())
-        limit = "kind(s) of warning below limit how far some numbers can be trusted."
-        text = f"ACCEPTED: all {len(outcomes)} rules hold for all {n} tests."
-        blocks.append(Paragraph(f"{text} {kinds} {limit}" if kinds else text, "passed"))
+        limit = "of warning below: what limits how far some numbers can be trusted."
+        text = f"ACCEPTED: {all_hold(outcomes)} for all {n} tests."
+        blocks.append(Paragraph(f"{text} {counted(kinds, 'kind')} {limit}" if kinds else text, "passed"))
     return (*blocks, *rule_blocks(outcomes, "; found: in the first test that fails, else in the first test"))
 
 
@@ -234,7 +234,7 @@ def _blocks(columns: TestColumns) -> tuple[Block, ...]:
     there = np.isfinite(columns.values)
     n = int(np.sum(there))
     if n < FEWEST:
-        return (Paragraph(f"{n} value(s); figures need {FEWEST}.", "note"),)
+        return (Paragraph(f"{counted(n, 'value')}; figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
     which = "No value lies outside"

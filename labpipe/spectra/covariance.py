@@ -31,6 +31,8 @@ SIGNIFICANT = 3.0
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
+# Lines from which on a response is interpolated between its neighbours.
+FEWEST_LINES = 5
 # Numbers of matrices that are made together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
 
@@ -122,10 +124,7 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     """
     if half_width == 0:
         return residual
-    power = np.sum(np.abs(response) ** 2, axis=2)
-    shape = np.column_stack(
-        [_shape(residual[:, o, o].real, power[:, o], half_width) for o in range(power.shape[1])]
-    )
+    shape = noise_shape(np.einsum("foo->fo", residual).real, response, half_width)
     scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
     mean: ComplexArray = (
         neighbourhood_mean(residual / scale, np.ones(residual.shape[0], bool), half_width) * scale
@@ -160,9 +159,28 @@ def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: Float
     return without_rounding(whole.reshape(-1, n, n))
 
 
-def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
-    """a + b |H|^2 of a residual's *variance* where b is SIGNIFICANT, else 1; |H|^2 = *power*."""
+def _power(response: ComplexArray) -> FloatArray:
+    """sum_i |H_oi|^2 (n_line, n_output) [unit^2/N^2] of H (n_line, n_output, n_input), each 1 / H by the
+    parabola through its two neighbours on either side: smooth at a resonance, however narrow, and without
+    the noise of the line itself, which would tilt the weights that follow.
+    """
+    if len(response) < FEWEST_LINES:
+        return np.asarray(np.sum(np.abs(response) ** 2, axis=2))
+    stiffness = np.divide(1.0, response, out=np.zeros_like(response), where=response != 0)
+    padded = np.pad(stiffness, ((2, 2), (0, 0), (0, 0)), mode="reflect", reflect_type="odd")
+    size = np.abs(4 * (padded[1:-3] + padded[3:-1]) - padded[:-4] - padded[4:]) / 6
+    return np.asarray(np.sum(np.divide(1.0, size, out=np.zeros_like(size), where=size > 0) ** 2, axis=2))
 
+
+def noise_shape(variance: FloatArray, response: ComplexArray, half_width: int) -> FloatArray:
+    """a + b |H|^2 [1] of each output's *variance* (n_line, n_output) [any unit] where b is SIGNIFICANT, else
+    1; *response* H (n_line, n_output, n_input) [unit/N].
+    """
+    pairs = zip(variance.T, _power(response).T, strict=True)
+    return np.column_stack([_shape(one, power, half_width) for one, power in pairs])
+
+
+def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
     shape = np.ones_like(variance)
     # A silent response has no power.
     columns = np.column_stack([shape, power / (np.max(power) or 1.0)])

@@ -139,10 +139,10 @@ class Differences:
 
     def __init__(self, n_line: int) -> None:
         """*n_line* lines of a spectrum."""
-        self._starts = np.unique(
+        self.starts = np.unique(
             np.linspace(0, n_line, max(min(GROUPS, n_line // GROUP_LINES), 1), endpoint=False).astype(int)
         )
-        self._sizes = np.diff(np.append(self._starts, n_line))
+        self._sizes = np.diff(np.append(self.starts, n_line))
         self._before: ComplexArray | None = None
         self._signal: FloatArray = np.zeros(0)
         self._squares: list[FloatArray] = []
@@ -156,7 +156,7 @@ class Differences:
         self._before = amplitude
 
     def _by_group(self, amplitude: ComplexArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(np.abs(amplitude) ** 2, self._starts, axis=0))
+        return np.asarray(np.add.reduceat(np.abs(amplitude) ** 2, self.starts, axis=0))
 
     def further(self, columns: Sequence[int]) -> dict[int, tuple[int, float]]:
         """Of the channels *columns* that have not settled: how many more periods to skip, and the decay of
@@ -226,6 +226,16 @@ def settling_finding(
     return (Finding("not-settled", what),)
 
 
+# Lines of the whole record to either side of one of a period that are held against the scatter, the least
+# periods for it, and the chance by which a channel of independent periods fails.
+NEAREST, LEAST_PERIODS, BY_CHANCE = 2, 8, 1e-3
+# What a channel's noise has beyond those before it, in power, from which on it is no rounding, and what keeps
+# less from being zero.
+LEAST_OWN, RIDGE = 1e-9, 1e-12
+# Lines to either side whose noise is taken then: of so many between two lines of a period one, and at most.
+ONE_OF, MOST_BESIDE = 4, 8
+
+
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
     Equation (spec-period).
@@ -238,9 +248,12 @@ class PeriodAverage:
         skip: int,
         lines: slice = slice(1, None),
         creep: RestMotion | None = None,
+        n_due: int = 0,
+        n_beside: int = 0,
     ) -> None:
         """*n_sample* samples per period, *skip* transient periods. *lines* of the DFT, by default all above 0
-        Hz; *creep* is subtracted.
+        Hz; *creep* is subtracted. Of *n_due* periods after the transient ones the noise may be that of
+        *n_beside* lines of the whole record to either side.
         """
         self._n_sample = n_sample
         self._lines = lines
@@ -254,6 +267,9 @@ class PeriodAverage:
         self.n_period = 0
         self._creep = creep
         self._levels: list[FloatArray] = []
+        self._n_due, self._n_beside = n_due, n_beside
+        n_turn = 2 * (n_beside or (NEAREST if n_due >= LEAST_PERIODS else 0))
+        self._beside = np.zeros((n_turn, n_line, n_channel), np.complex128)
 
     def add(self, block: FloatArray) -> None:
         """Add the next block (n, n_channel) [unit of the channel]."""
@@ -270,16 +286,64 @@ class PeriodAverage:
         # A slow drift of the mean is not noise of the lines; a large mean would cost digits.
         level = period.mean(axis=0)
         self._levels.append(level)
+        whole = period - self._levels[0]
         period = period - level
         if self._creep is not None:
-            period -= self._creep.within(self.n_period, self._n_sample)
+            whole = period = period - self._creep.within(self.n_period, self._n_sample)
         amplitude = fft.rfft(period.T, axis=1)[:, self._lines].T * (2 / self._n_sample)
+        if self._n_beside:
+            self._add_beside(whole)
+        elif len(self._beside):
+            turns = np.exp(-2j * np.pi * self.n_period / self._n_due * _both(NEAREST))
+            self._beside += turns[:, None, None] * amplitude
         self.n_period += 1
         self.differences.add(amplitude)
         before = amplitude - self._mean
         self._mean += before / self.n_period
         after = amplitude - self._mean
         self._scatter += before[:, :, None] * after[:, None, :].conj()
+
+    def _add_beside(self, period: FloatArray) -> None:
+        """Add the next *period* (n, n_channel) [unit of the channel] to the lines of the whole record."""
+        n = self._n_sample
+        time = self.n_period / self._n_due + np.arange(n) / (n * self._n_due)
+        for number in range(self._n_beside):
+            turned = fft.fft(period.T * np.exp(-2j * np.pi * (number + 1) * time), axis=1).T * (2 / n)
+            self._beside[2 * number] += turned[self._line_numbers]
+            self._beside[2 * number + 1] += turned[-self._line_numbers].conj()
+
+    def lines_beside(self) -> int:
+        """Lines of the whole record to either side of every line that tell the noise of the mean better than
+        the scatter; 0 where the periods scatter as independent ones do. Slow noise, of a mode that little
+        damps or beyond the lines, does not: its parts in neighbouring periods belong together. Equation
+        (spec-beside).
+        """
+        n, near = self.n_period, len(self._beside)
+        if n != self._n_due or not near:
+            return 0
+        size = np.sqrt(np.einsum("laa->la", self._scatter).real)
+        rounding = ROUNDING * np.sqrt(n) * np.max(np.abs(self._mean), axis=0, initial=0.0)
+        told = np.all(size > rounding, axis=0)
+        if not np.any(told):
+            return 0
+        # What a channel has beyond those before it: what they share may hide that it is slow.
+        size, unit = size[:, told], np.eye(int(np.sum(told)))
+        scatter = self._scatter[:, told][:, :, told] / (size[:, :, None] * size[:, None, :])
+        own = np.linalg.cholesky((scatter if len(unit) < n else unit[None]) + RIDGE * unit)
+        beside = (self._beside[..., told] / size).transpose(1, 2, 0)
+        share = np.sum(np.abs(np.linalg.solve(own, beside)) ** 2, axis=2) / n
+        # Of independent periods the share of so many of n - 1 lines has a beta distribution.
+        excess = np.where(np.einsum("laa->la", own).real ** 2 > LEAST_OWN, share - near / (n - 1), 0.0)
+        excess *= (n - 1) * np.sqrt(n / (near * (n - 1 - near)))
+        # A response that drifts has more there, not less.
+        for starts in (np.zeros(1, int), self.differences.starts):
+            lines = np.diff(np.append(starts, len(excess)))
+            far = np.min(np.add.reduceat(excess, starts) / np.sqrt(lines)[:, None])
+            if far < special.ndtri(BY_CHANCE / len(starts)):
+                break
+        else:
+            return 0
+        return min(max(NEAREST, n // ONE_OF), MOST_BESIDE)
 
     def creep(self, spectrum: LineSpectrum) -> RestMotion | None:
         """How the rest position moves, in channels where that is *seen* beside the noise of the *spectrum*;
@@ -292,8 +356,8 @@ class PeriodAverage:
         return RestMotion(motion.slope * seen, motion.bend * seen) if np.any(seen) else None
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
-        """The averaged lines; DataError when no period is left after the transient ones. Equation
-        (spec-period-noise).
+        """The averaged lines, their noise by the scatter of the periods or by the lines beside; DataError
+        when no period is left after the transient ones. Equation (spec-period-noise).
         """
         n = self.n_period
         if n == 0:
@@ -303,8 +367,16 @@ class PeriodAverage:
                 "record longer",
             )
         frequency = self._line_numbers * (sample_rate / self._n_sample)
-        noise = None if n == 1 else self._scatter / (n * (n - 1))
-        return LineSpectrum(frequency, self._mean.copy(), noise, n, np.full(frequency.size, n - 1.0))
+        noise, dof = None if n == 1 else self._scatter / (n * (n - 1)), n - 1.0
+        if self._n_beside and n == self._n_due:
+            beside, dof = self._beside / n, float(len(self._beside))
+            noise = beside.transpose(1, 2, 0) @ beside.transpose(1, 0, 2).conj() / dof
+        return LineSpectrum(frequency, self._mean.copy(), noise, n, np.full(frequency.size, dof))
+
+
+def _both(most: int) -> IntArray:
+    """1, -1, 2, -2 ... to *most* and its negative."""
+    return np.outer(np.arange(1, most + 1), [1, -1]).ravel()
 
 
 def smoothed_noise(spectrum: LineSpectrum, half_width: int, with_inverse: bool = False) -> LineSpectrum:

@@ -19,7 +19,7 @@ from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_periodic, joined_response
+from labpipe.spectra.covariance import covariance_of_periodic, joined_response, noise_shape
 from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import (
@@ -65,6 +65,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
+    of_lines = [spectrum.select(lines) for spectrum in single]
+    spectra = _even(of_lines, spectra, mean[:, n_input:] @ inverse, layout, settings.smooth)
     frequency = spectra[0].frequency
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     noise = np.stack(noises) if len(noises) == len(spectra) else None
@@ -88,7 +90,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         findings.append(joint.open_loop_note(frequency, matrix, covariance, open_loop))
     else:
         covariance = None if noise is None else covariance_of_periodic(matrix, inverse, noise)
-        findings += feedback_of_periods([s.select(lines) for s in single], matrix, inverse, layout)
+        findings += feedback_of_periods(of_lines, matrix, inverse, layout)
         findings += () if unsettled else _left_out_notes(single, lines, matrix, layout, settings.period)
     return Parts(
         frequency=frequency,
@@ -101,6 +103,32 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         change=None if unsettled else _change(spectra, [half for _, half, _ in averaged], lines, layout),
         open_loop=open_loop,
     )
+
+
+def _even(
+    single: Sequence[LineSpectrum],
+    smoothed: Sequence[LineSpectrum],
+    response: ComplexArray,
+    layout: Layout,
+    half_width: int,
+) -> list[LineSpectrum]:
+    """The *smoothed* spectra. Where the noise of outputs grows with their *response* (n_line, n_output,
+    n_input) [unit/N], as what a rig answers to besides the forces does, that of the *single* lines is
+    averaged over neighbours relative to a + b |H|^2.
+    """
+    spectra = []
+    for of_lines, spectrum, columns in zip(single, smoothed, layout.output_columns, strict=True):
+        if of_lines.noise is not None and half_width > 0:
+            variance = np.einsum("laa->la", of_lines.noise).real
+            shape = np.ones_like(variance)
+            shape[:, columns] = noise_shape(variance[:, columns], response, half_width)
+            scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
+            if np.any(shape != 1):
+                spectrum = smoothed_noise(replace(of_lines, noise=of_lines.noise / scale), half_width)
+                assert spectrum.noise is not None
+                spectrum = replace(spectrum, noise=spectrum.noise * scale)
+        spectra.append(spectrum)
+    return spectra
 
 
 def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]) -> list[LineSpectrum]:
@@ -189,19 +217,28 @@ def period_average(
     findings = settling_finding(average.differences, source.channels, source.name, settings.skip)
     creep = None if findings else average.creep(spectrum)
     if creep is not None:
-        _, spectrum, half = _average(source, settings, n_sample, creep)
+        average, spectrum, half = _average(source, settings, n_sample, creep)
         findings = (_creep_note(creep, source),)
+    n_beside = 0 if is_unsettled(findings) else average.lines_beside()
+    if n_beside:
+        _, spectrum, half = _average(source, settings, n_sample, creep, n_beside)
+        findings = (*findings, _beside_note(source, settings.period))
     chosen = lines_left(spectrum.frequency, settings)
     return spectrum.select(chosen), None if half is None else half.select(chosen), findings
 
 
 def _average(
-    source: SampleSource, settings: FrfSettings, n_sample: int, creep: RestMotion | None = None
+    source: SampleSource,
+    settings: FrfSettings,
+    n_sample: int,
+    creep: RestMotion | None = None,
+    n_beside: int = 0,
 ) -> tuple[PeriodAverage, LineSpectrum, LineSpectrum | None]:
     lines = line_range(n_sample, source.sample_rate, settings.band, source.n_sample)
-    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines, creep)
+    n_due = max(source.n_sample // n_sample - settings.skip, 0)
+    average = PeriodAverage(n_sample, len(source.channels), settings.skip, lines, creep, n_due, n_beside)
     half: LineSpectrum | None = None
-    n_half = (source.n_sample // n_sample - settings.skip) // 2
+    n_half = n_due // 2
     for block, ends_half in cut_at(checked_blocks(source), (settings.skip + n_half) * n_sample):
         average.add(block)
         if ends_half and n_half > 0:
@@ -222,6 +259,15 @@ def _creep_note(creep: RestMotion, source: SampleSource) -> Finding:
         "data; what bends within a period stays. Fix what creeps, or give it a spring to a place of rest"
     )
     return note("rest-moves", message)
+
+
+def _beside_note(source: SampleSource, period: float) -> Finding:
+    message = (
+        f"recording '{source.name}': the noise of a period goes on in the next one, as that of a lightly "
+        "damped mode does, so that its scatter says too little at a resonance and too much beside it: the "
+        f"noise of the mean is that between the lines, which stand {1 / period:.3g} Hz apart"
+    )
+    return note("noise-between-lines", message)
 
 
 def _snr_findings(snr: FloatArray, mean: ComplexArray, layout: Layout, settled: bool) -> tuple[Finding, ...]:

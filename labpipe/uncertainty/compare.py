@@ -243,7 +243,7 @@ def reciprocal(settings: CompareSettings, responses: Sequence[FrequencyResponse]
     statement = (
         f"{len(pairs)} pair(s) of dofs in {len(responses)} test(s), {len(coupled)} of them coupled; "
         + (
-            f"coupled pairs differ by at most {100 * largest:.2g} % rms"
+            f"coupled pairs differ by at most {display.per_cent(largest)} rms"
             if coupled
             else "no pair is coupled above the noise"
         )

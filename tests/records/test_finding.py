@@ -92,9 +92,7 @@ def test_the_report_counts_warnings_and_shows_notes_apart(response: FrequencyRes
     )
     text = html_report(identification(response, CLIPPED)).decode()
     warnings, notes = text.index("Warnings</h2>"), text.index("Notes</h2>")
-    assert "1 kind(s) of warning" in text and warnings < text.index("clipped:") < notes < text.index(
-        "masked:"
-    )
+    assert "1 kind of warning" in text and warnings < text.index("clipped:") < notes < text.index("masked:")
     assert "Notes</h2>" not in html_report(identification(replace(response, findings=()), CLIPPED)).decode()
 
 

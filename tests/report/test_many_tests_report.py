@@ -60,7 +60,7 @@ def said(shown: Document, heading: str) -> list[tuple[str, str]]:
                 "failed",
             ),
         ),
-        (DatasetIndex(tests=7), (HOLDS,), ("ACCEPTED: all 1 rules hold for all 7 tests.", "passed")),
+        (DatasetIndex(tests=7), (HOLDS,), ("ACCEPTED: the one rule holds for all 7 tests.", "passed")),
         (
             DatasetIndex(tests=7),
             (),
@@ -89,7 +89,9 @@ def test_the_bands_of_a_fit_are_told_apart() -> None:
 def test_a_warning_of_several_tests_stands_once_and_limits_the_acceptance() -> None:
     index = DatasetIndex(tests=7, findings=(CountedFinding(Finding("drift", "k fell"), "t1", 3),))
     shown = document(index, HOLDS)
-    assert said(shown, "Verdict")[0][0].startswith("ACCEPTED: all 1 rules hold for all 7 tests. 1 kind(s)")
+    assert said(shown, "Verdict")[0][0].startswith(
+        "ACCEPTED: the one rule holds for all 7 tests. 1 kind of warning"
+    )
     assert said(shown, "Warnings") == [("drift: t1 (3 tests in all; this is the first): k fell", "warning")]
 
 
@@ -117,7 +119,7 @@ def test_a_row_has_median_scatter_and_ends_with_their_tests() -> None:
     numbers = [float(text) for text in (*row[3:7], row[8])]
     assert numbers == pytest.approx([18.2, 0.15, 0.002, 18.0, 30.0])
     nothing = document(DatasetIndex(tests=1), tests=ManyTests((columns(np.array([np.nan]), np.zeros(1)),)))
-    assert "0 value(s); figures need 3." in said(nothing, "k of direct")[0][0]
+    assert "0 values; figures need 3." in said(nothing, "k of direct")[0][0]
 
 
 def test_few_tests_are_points_with_their_intervals() -> None:

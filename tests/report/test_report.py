@@ -85,7 +85,7 @@ def test_the_verdict_comes_first_and_provenance_is_complete() -> None:
     html = html_report(result())
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", html)
     assert headings[0] == "Verdict" and headings[-3:] == ["Rig and conditions", "Provenance", "Signature"]
-    assert "ACCEPTED: all 1 rules hold" in html
+    assert "ACCEPTED: the one rule holds" in html
     assert "ab" * 32 in html and "labpipe 0.1.0" in html and re.search(r"frf.period</th><td>1.0</td>", html)
 
 

@@ -55,7 +55,7 @@ def words(sections: tuple[Section, ...]) -> dict[str, list[tuple[str, str]]]:
 
 def test_an_accepted_result_says_so_with_its_rules() -> None:
     sections = verdict_sections(RESULT)
-    assert words(sections)["Verdict"] == [("ACCEPTED: all 1 rules hold. No warnings.", "passed")]
+    assert words(sections)["Verdict"] == [("ACCEPTED: the one rule holds. No warnings.", "passed")]
     results, rules = (block for block in sections[0].blocks if isinstance(block, Table))
     assert results.rows == (("stiffness k", "45.200 ± 0.063 kN/m", "± 0.14 %"),)
     assert rules.rows == (("accept", "direct.gof >= 0.95", "0.98", "holds"),)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.display import chance_text
+from labpipe.display import chance_text, per_cent
 from labpipe.estimation.coefficient_error import CoefficientError, Patterns, averaged_error
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, Noise, times
@@ -155,7 +155,7 @@ def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:
         return ()
     share = (
-        f"{100 * moved[0]:.2g} % of the motion of the stator against it (accelerations against displacements)"
+        f"{per_cent(moved[0])} of the motion of the stator against it (accelerations against displacements)"
     )
     if given.accelerated or effective_forces(stator):
         what = (

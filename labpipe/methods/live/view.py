@@ -17,7 +17,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.cli.many import duration
-from labpipe.display import amount_text, difference_in, shown_unit, unit_label
+from labpipe.display import amount_text, counted, difference_in, per_cent, shown_unit, unit_label
 from labpipe.document.html_page import page_part, render_html
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, obstacle
@@ -188,11 +188,6 @@ def _sentence(course: Course) -> str:
     return f"{goals} were reached after {course.enough} of {count}"
 
 
-def counted(number: int, what: str) -> str:
-    """So many averages in words: 1 hit, 2 hits."""
-    return f"{number} {what}{'s' if number != 1 else ''}"
-
-
 def course_sections(courses: Courses, _identification: Identification) -> tuple[Section, ...]:
     """The course of each test: a sentence, a figure, the averages that do not count."""
     sections = []
@@ -255,7 +250,7 @@ def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]
     rows = []
     for name, standing in sorted(update.standings.items(), key=lambda entry: entry[1].goal is None):
         value, unit = standing.parameter.value, standing.parameter.unit
-        goal = "" if standing.goal is None else f"± {100 * standing.goal / abs(value):.2g} %"
+        goal = "" if standing.goal is None else f"± {per_cent(standing.goal / abs(value))}"
         half = standing.half if math.isfinite(standing.half) else None
         rows.append((name, amount_text(value, half, unit), goal, left_text(standing, update, session.what)))
     return rows

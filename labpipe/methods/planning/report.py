@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator
 from math import floor
 
-from labpipe.display import NOT_DETERMINED, amount_text, shown_unit
+from labpipe.display import NOT_DETERMINED, amount_text, per_cent, shown_unit
 from labpipe.methods.planning import records
 from labpipe.quantities import to_display
 from labpipe.report.chart import Axis, Panel, dots, look, stack
@@ -82,11 +82,6 @@ def goal_sentence(plan: records.Plan) -> str:
         return f"The goals are NOT met: no time meets them{never}; {_time(plan.duration)} are planned."
     reached = "The goals are met" if plan.needed <= plan.duration else "The goals are NOT met"
     return f"{reached}: they need {_time(plan.needed)} of data, {_time(plan.duration)} are planned."
-
-
-def per_cent(share: float) -> str:
-    """A relative error in per cent."""
-    return f"{100 * share:.2g} %"
 
 
 def _verdict(plan: records.Plan) -> Iterator[Block]:
@@ -285,7 +280,7 @@ def error_text(number: records.PlannedNumber, error: float | None) -> str:
     if error is None:
         return NOT_DETERMINED
     if number.scale is not None:
-        return f"{100 * error / number.scale:.2g} %"
+        return per_cent(error / number.scale)
     unit = shown_unit(number.unit, error)
     return f"{to_display(error, unit) - to_display(0.0, unit):.2g} {unit}"
 

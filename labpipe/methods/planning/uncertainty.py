@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.display import difference_in, shown_unit
+from labpipe.display import difference_in, per_cent, shown_unit
 from labpipe.distributions import coverage_factor
 from labpipe.errors import SettingError
 from labpipe.methods.planning import campaigns
@@ -440,7 +440,7 @@ def calibration_notes(goals: Goals, budget: Budget, random: FloatArray, scales: 
         left = float(max(allowed[number] ** 2 - noise, FOR_NOISE * allowed[number] ** 2))
         largest = int(changes.argmax())
         rest = left - float(np.sum(np.delete(changes, largest) ** 2))
-        what = f"{name} to {100 * goals.expanded[number]:.2g} % expanded is not met however long one measures"
+        what = f"{name} to {per_cent(goals.expanded[number])} expanded is not met however long one measures"
         if rest > 0:
             source = budget.sources[largest]
             now, then = (_size(source, share) for share in (1.0, float(np.sqrt(rest)) / changes[largest]))

@@ -138,7 +138,7 @@ def test_decays_are_compared_over_their_conditions(lab: Path, labpipe) -> None:
     result = json.loads((lab / "out/identification.json").read_text())
     assert len(result["fits"]) == 3 and result["comparisons"][0]["name"] == "trend"
     facts = dict(cover_facts([read_identification(lab / "out/identification.json")]))
-    assert facts["tests"] == "3 measured, from 3 source file(s)" and facts["preload"] == "100 N, 150 N, 200 N"
+    assert facts["tests"] == "3 measured, from 3 source files" and facts["preload"] == "100 N, 150 N, 200 N"
     assert "| mid | preload | 150 N |" in (lab / "out/report.md").read_text()
 
 
