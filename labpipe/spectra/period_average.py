@@ -226,6 +226,8 @@ def settling_finding(
     return (Finding("not-settled", what),)
 
 
+# Periods that are added to the lines of the whole record together.
+TOGETHER = 16
 # Lines of the whole record to either side of one of a period that are held against the scatter, the least
 # periods for it, and the chance by which a channel of independent periods fails.
 NEAREST, LEAST_PERIODS, BY_CHANCE = 2, 8, 1e-3
@@ -270,6 +272,7 @@ class PeriodAverage:
         self._n_due, self._n_beside = n_due, n_beside
         n_turn = 2 * (n_beside or (NEAREST if n_due >= LEAST_PERIODS else 0))
         self._beside = np.zeros((n_turn, n_line, n_channel), np.complex128)
+        self._waiting = np.empty((TOGETHER * (n_due >= LEAST_PERIODS), n_line, n_channel), np.complex128)
 
     def add(self, block: FloatArray) -> None:
         """Add the next block (n, n_channel) [unit of the channel]."""
@@ -294,14 +297,21 @@ class PeriodAverage:
         if self._n_beside:
             self._add_beside(whole)
         elif len(self._beside):
-            turns = np.exp(-2j * np.pi * self.n_period / self._n_due * _both(NEAREST))
-            self._beside += turns[:, None, None] * amplitude
+            self._add_nearest(amplitude)
         self.n_period += 1
         self.differences.add(amplitude)
         before = amplitude - self._mean
         self._mean += before / self.n_period
         after = amplitude - self._mean
         self._scatter += before[:, :, None] * after[:, None, :].conj()
+
+    def _add_nearest(self, amplitude: ComplexArray) -> None:
+        number, place = self.n_period, self.n_period % TOGETHER
+        self._waiting[place] = amplitude
+        if place == TOGETHER - 1 or number == self._n_due - 1:
+            numbers = np.arange(number - place, number + 1)
+            turns = np.exp(-2j * np.pi / self._n_due * np.outer(_both(NEAREST), numbers))
+            self._beside += np.tensordot(turns, self._waiting[: place + 1], 1)
 
     def _add_beside(self, period: FloatArray) -> None:
         """Add the next *period* (n, n_channel) [unit of the channel] to the lines of the whole record."""
