@@ -124,7 +124,9 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     """
     if half_width == 0:
         return residual
-    shape = noise_shape(np.einsum("foo->fo", residual).real, response, half_width)
+    # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
+    of_line = (2 * half_width + 1) / ENOUGH_DOF
+    shape = noise_shape(np.einsum("foo->fo", residual).real, response, of_line)
     scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
     mean: ComplexArray = (
         neighbourhood_mean(residual / scale, np.ones(residual.shape[0], bool), half_width) * scale
@@ -172,15 +174,16 @@ def _power(response: ComplexArray) -> FloatArray:
     return np.asarray(np.sum(np.divide(1.0, size, out=np.zeros_like(size), where=size > 0) ** 2, axis=2))
 
 
-def noise_shape(variance: FloatArray, response: ComplexArray, half_width: int) -> FloatArray:
+def noise_shape(variance: FloatArray, response: ComplexArray, of_line: float) -> FloatArray:
     """a + b |H|^2 [1] of each output's *variance* (n_line, n_output) [any unit] where b is SIGNIFICANT, else
-    1; *response* H (n_line, n_output, n_input) [unit/N].
+    1; *response* H (n_line, n_output, n_input) [unit/N]. *of_line*: relative variance [1] of a line's
+    variance.
     """
     pairs = zip(variance.T, _power(response).T, strict=True)
-    return np.column_stack([_shape(one, power, half_width) for one, power in pairs])
+    return np.column_stack([_shape(one, power, of_line) for one, power in pairs])
 
 
-def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
+def _shape(variance: FloatArray, power: FloatArray, of_line: float) -> FloatArray:
     shape = np.ones_like(variance)
     # A silent response has no power.
     columns = np.column_stack([shape, power / (np.max(power) or 1.0)])
@@ -190,8 +193,7 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
         weighted = columns / shape[:, None]
         values = scipy.optimize.nnls(weighted, variance / shape)[0]
         shape = np.maximum(columns @ values, np.finfo(float).eps)
-    # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
-    covariance = np.linalg.pinv(weighted.T @ weighted) * (2 * half_width + 1) / ENOUGH_DOF
+    covariance = np.linalg.pinv(weighted.T @ weighted) * of_line
     return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
 
 

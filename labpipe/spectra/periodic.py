@@ -61,12 +61,10 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
             raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
         hint = "check `period` and `band`, or raise the level"
         raise DataError("no line of the force exceeds its noise", hint=hint)
-    spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
-    mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
+    mean = np.stack([layout.padded(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
-    of_lines = [spectrum.select(lines) for spectrum in single]
-    spectra = _even(of_lines, spectra, mean[:, n_input:] @ inverse, layout, settings.smooth)
+    spectra = _even(single, spectra, lines, mean[:, n_input:] @ inverse, layout, settings.smooth)
     frequency = spectra[0].frequency
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     noise = np.stack(noises) if len(noises) == len(spectra) else None
@@ -90,7 +88,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         findings.append(joint.open_loop_note(frequency, matrix, covariance, open_loop))
     else:
         covariance = None if noise is None else covariance_of_periodic(matrix, inverse, noise)
-        findings += feedback_of_periods(of_lines, matrix, inverse, layout)
+        findings += feedback_of_periods([s.select(lines) for s in single], matrix, inverse, layout)
         findings += () if unsettled else _left_out_notes(single, lines, matrix, layout, settings.period)
     return Parts(
         frequency=frequency,
@@ -108,26 +106,29 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
 def _even(
     single: Sequence[LineSpectrum],
     smoothed: Sequence[LineSpectrum],
+    lines: BoolArray,
     response: ComplexArray,
     layout: Layout,
     half_width: int,
 ) -> list[LineSpectrum]:
-    """The *smoothed* spectra. Where the noise of outputs grows with their *response* (n_line, n_output,
-    n_input) [unit/N], as what a rig answers to besides the forces does, that of the *single* lines is
-    averaged over neighbours relative to a + b |H|^2.
+    """The *smoothed* spectra at *lines*. Where the noise of outputs grows with their *response* (n_line,
+    n_output, n_input) [unit/N], as what a rig answers to besides the forces does, that of the *single* lines
+    is averaged over neighbours relative to a + b |H|^2.
     """
     spectra = []
-    for of_lines, spectrum, columns in zip(single, smoothed, layout.output_columns, strict=True):
-        if of_lines.noise is not None and half_width > 0:
-            variance = np.einsum("laa->la", of_lines.noise).real
-            shape = np.ones_like(variance)
-            shape[:, columns] = noise_shape(variance[:, columns], response, half_width)
+    for one, spectrum, columns in zip(single, smoothed, layout.output_columns, strict=True):
+        if one.noise is not None and half_width > 0:
+            variance = np.einsum("laa->la", one.noise).real
+            shape, of_line = np.ones_like(variance), 1 / float(np.min(one.line_dof))
+            courses = noise_shape(variance[lines][:, columns], response, of_line)
+            for column, course in zip(columns, courses.T, strict=True):
+                shape[:, column] = np.interp(one.frequency, one.frequency[lines], course)
             scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
             if np.any(shape != 1):
-                spectrum = smoothed_noise(replace(of_lines, noise=of_lines.noise / scale), half_width)
+                spectrum = smoothed_noise(replace(one, noise=one.noise / scale), half_width)
                 assert spectrum.noise is not None
                 spectrum = replace(spectrum, noise=spectrum.noise * scale)
-        spectra.append(spectrum)
+        spectra.append(spectrum.select(lines))
     return spectra
 
 
