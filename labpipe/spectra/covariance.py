@@ -31,8 +31,8 @@ SIGNIFICANT = 3.0
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
 # Noise in the power of the forces up to which it is taken out of it.
 MOST_NOISE = 0.5
-# Lines from which on a response is interpolated between its neighbours.
-FEWEST_LINES = 5
+# Lines from which on a response is interpolated between its neighbours, and how far |H|^2 may be from there.
+FEWEST_LINES, MOST_APART = 5, 4.0
 # Numbers of matrices that are made together: a part of the cache.
 CACHED_NUMBERS = 1 << 16
 
@@ -164,14 +164,17 @@ def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: Float
 def _power(response: ComplexArray) -> FloatArray:
     """sum_i |H_oi|^2 (n_line, n_output) [unit^2/N^2] of H (n_line, n_output, n_input), each 1 / H by the
     parabola through its two neighbours on either side: smooth at a resonance, however narrow, and without
-    the noise of the line itself, which would tilt the weights that follow.
+    the noise of the line itself, which would tilt the weights that follow. Not far from the line's own, as
+    it is where H is noise and 1 / H may vanish between the lines.
     """
-    if len(response) < FEWEST_LINES:
-        return np.asarray(np.sum(np.abs(response) ** 2, axis=2))
-    stiffness = np.divide(1.0, response, out=np.zeros_like(response), where=response != 0)
-    padded = np.pad(stiffness, ((2, 2), (0, 0), (0, 0)), mode="reflect", reflect_type="odd")
-    size = np.abs(4 * (padded[1:-3] + padded[3:-1]) - padded[:-4] - padded[4:]) / 6
-    return np.asarray(np.sum(np.divide(1.0, size, out=np.zeros_like(size), where=size > 0) ** 2, axis=2))
+    size = np.abs(response) ** 2
+    if len(response) >= FEWEST_LINES:
+        stiffness = np.divide(1.0, response, out=np.zeros_like(response), where=response != 0)
+        padded = np.pad(stiffness, ((2, 2), (0, 0), (0, 0)), mode="reflect", reflect_type="odd")
+        between = np.abs(4 * (padded[1:-3] + padded[3:-1]) - padded[:-4] - padded[4:]) ** 2 / 36
+        between = np.divide(1.0, between, out=np.full_like(size, np.inf), where=between > 0)
+        size = np.clip(between, size / MOST_APART, size * MOST_APART)
+    return np.asarray(size.sum(axis=2))
 
 
 def noise_shape(variance: FloatArray, response: ComplexArray, of_line: float) -> FloatArray:
