@@ -268,7 +268,8 @@ class FrequencyResponse:
     open_loop           (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed loop, which it
                         takes as open, or None: biased
     snr                 (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line
-                        (periodic data), or None; its columns are named by snr_channels
+                        (periodic data; hits and sweeps where noise of the force was taken off), or
+                        None; its columns are named by snr_channels
     covariance_dof      effective number of complex degrees of freedom behind the covariance estimate
                         (inf: known)
     line_correlation    E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d = 1, 2,

@@ -66,6 +66,11 @@ class Layout:
         )
 
     @property
+    def acting(self) -> list[int]:
+        """The number of the force that acts in every recording."""
+        return [max(range(len(columns)), key=columns.__getitem__) for columns in self.input_columns]
+
+    @property
     def derivatives(self) -> int:
         """Time derivatives of the measured responses beyond those of the measured motion of a base. 0 for
         forces.
