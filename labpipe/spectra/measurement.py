@@ -113,6 +113,7 @@ def _with_repeats(
         repeats=np.array(alone),
         repeat_names=tuple(names),
         repeat_levels=None if len(response.inputs) > 1 else np.array(levels),
+        repeat_shares=None,
         repeats_are="recordings",
     )
 
@@ -206,6 +207,7 @@ def _measure(
         repeats=None if parts.hits is None else np.moveaxis(parts.hits, 1, 0) * sensor_factor,
         repeat_names=tuple(f"{repeats_are[:-1]} {number}" for number in parts.hit_numbers),
         repeat_levels=np.array(parts.hit_peaks) if parts.hit_peaks else None,
+        repeat_shares=parts.hit_shares,
         repeats_are=repeats_are,
         errors=sum_errors(cleaned, settings, layout, (parts.frequency, matrix), open_loop),
         name=name,

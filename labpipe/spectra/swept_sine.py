@@ -144,6 +144,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
             hits=np.swapaxes(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], 0, 1)[..., None],
             hit_numbers=tuple(range(1, len(sweeps) + 1)),
             hit_peaks=tuple(sweep.level for sweep in sweeps),
+            hit_shares=None if np.all(filled == 1) else filled,
         )
     assert parts.multiple_coherence is not None
     rates = rate_findings(

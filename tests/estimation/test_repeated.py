@@ -334,3 +334,31 @@ def test_noise_that_grows_and_is_shared_by_lines_is_that_of_the_mean(names, sett
     expected = np.sqrt(np.diag(gain @ noise @ gain.T) / 6)
     found = [fit.parameter(name).std_error / size for name, size in zip(names, (F_N, ZETA), strict=True)]
     np.testing.assert_allclose(found, expected[:2], rtol=0.2)
+
+
+def test_a_short_sweep_shares_noise_between_lines_as_its_own_zeros_make_it() -> None:
+    """Noise of a quarter of a block, zeros after it: lines d apart share sinc(d / 4), whatever those of all
+    sweeps together do. Errors of the mean of 24 are A J^T S J A over 24, S the noise that was drawn; by those
+    of all they were .47 of it.
+    """
+    h, lines = mode(F_N, 0.04), np.arange(FREQUENCY.size)
+    time, size = np.arange(512) / 512 - 0.5, 0.02 * np.max(np.abs(h)) / np.sqrt(512 / 4)
+    waves = np.exp(-2j * np.pi * np.outer(lines, time))[:, np.abs(time) < 1 / 8]
+    rng = np.random.default_rng(8)
+    drawn = rng.normal(size=(24, waves.shape[1])) + 1j * rng.normal(size=(24, waves.shape[1]))
+    matrices = (h + size * drawn / np.sqrt(2) @ waves.T)[:, :, None, None]
+    response = replace(
+        repeated(24, 0),
+        matrix=matrices.mean(axis=0),
+        repeats=matrices,
+        repeat_shares=np.full(24, 0.25),
+        line_correlation=(0.0,) * 8,
+    )
+    fit = fitted(response, band=(90.0, 110.0))
+    moved = (mode(F_N * (1 + e), 0.04 * (1 + g), (1 + m) / MASS) for e, g, m in 1e-6 * np.eye(3))
+    slopes = np.stack([(other - h) / 1e-6 for other in moved], axis=1)
+    gain = np.linalg.pinv(np.concatenate([slopes.real, slopes.imag]))
+    noise = size**2 / 2 * (waves @ waves.conj().T).real
+    expected = np.sqrt(np.diag(gain @ np.kron(np.eye(2), noise) @ gain.T) / 24)
+    found = [fit.parameter("f_n").std_error / F_N, fit.parameter("zeta").std_error / 0.04]
+    np.testing.assert_allclose(found, expected[:2], rtol=0.2)

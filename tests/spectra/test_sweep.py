@@ -312,11 +312,14 @@ def test_the_simulated_motion_is_that_of_the_oscillator() -> None:
 
 
 def test_the_level_of_a_sweep_is_its_rms() -> None:
-    """Sweeps of 1 N and 3 N r.m.s. with 1 % faded at either end: 1 and 3 N within 2 %."""
-    parts = [record(1, replace(UP, duration=8.0, rms=rms)) for rms in (1.0, 3.0)]
+    """Sweeps of 1 N and 3 N r.m.s. with 1 % faded at either end: 1 and 3 N within 2 %. Of a block as
+    long as the longer sweep, 8 s, the shorter one with its pause fills 7 s.
+    """
+    parts = [record(1, replace(UP, duration=duration, rms=rms)) for duration, rms in ((8.0, 1.0), (4.0, 3.0))]
     both = Recording(CHANNELS, np.concatenate([part.samples for part in parts]), RATE, "two")
-    levels = measure([both], SWEEP).repeat_levels
-    np.testing.assert_allclose(levels, [1.0, 3.0], rtol=0.02)
+    response = measure([both], SWEEP)
+    np.testing.assert_allclose(response.repeat_levels, [1.0, 3.0], rtol=0.02)
+    np.testing.assert_allclose(response.repeat_shares, [1.0, 7 / 8], rtol=0.03)
 
 
 @pytest.mark.parametrize("count", [1, 3])
