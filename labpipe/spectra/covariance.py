@@ -122,9 +122,10 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     """
     if half_width == 0:
         return residual
-    power = np.sum(np.abs(response) ** 2, axis=2)
+    # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
+    power, of_line = np.sum(np.abs(response) ** 2, axis=2), (2 * half_width + 1) / ENOUGH_DOF
     shape = np.column_stack(
-        [_shape(residual[:, o, o].real, power[:, o], half_width) for o in range(power.shape[1])]
+        [noise_course(residual[:, o, o].real, power[:, o], of_line) for o in range(power.shape[1])]
     )
     scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
     mean: ComplexArray = (
@@ -160,9 +161,10 @@ def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: Float
     return without_rounding(whole.reshape(-1, n, n))
 
 
-def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArray:
-    """a + b |H|^2 of a residual's *variance* where b is SIGNIFICANT, else 1; |H|^2 = *power*."""
-
+def noise_course(variance: FloatArray, power: FloatArray, of_line: float) -> FloatArray:
+    """a + b |H|^2 (n_line,) [any unit] of a *variance* (n_line,) [unit^2] where b is SIGNIFICANT, else 1;
+    |H|^2 = *power* (n_line,) [any unit]. *of_line*: relative variance [1] of what one line tells.
+    """
     shape = np.ones_like(variance)
     # A silent response has no power.
     columns = np.column_stack([shape, power / (np.max(power) or 1.0)])
@@ -172,8 +174,7 @@ def _shape(variance: FloatArray, power: FloatArray, half_width: int) -> FloatArr
         weighted = columns / shape[:, None]
         values = scipy.optimize.nnls(weighted, variance / shape)[0]
         shape = np.maximum(columns @ values, np.finfo(float).eps)
-    # As many lines as are averaged have ENOUGH_DOF degrees of freedom together.
-    covariance = np.linalg.pinv(weighted.T @ weighted) * (2 * half_width + 1) / ENOUGH_DOF
+    covariance = np.linalg.pinv(weighted.T @ weighted) * of_line
     return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
 
 

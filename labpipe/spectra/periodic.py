@@ -4,7 +4,7 @@ realisations, nonlinear distortion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_periodic, joined_response
+from labpipe.spectra.covariance import covariance_of_periodic, joined_response, noise_course
 from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import (
@@ -38,6 +38,9 @@ from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
+
+# Gain in the logarithm of the likelihood from which noise follows a response, and the least noise [unit^2].
+BETTER, TINY = 4.5, float(np.finfo(float).tiny)
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -61,10 +64,14 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
             raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
         hint = "check `period` and `band`, or raise the level"
         raise DataError("no line of the force exceeds its noise", hint=hint)
-    spectra = [spectrum.select(lines) for spectrum in spectra]
     n_input = len(layout.inputs)
-    mean = np.stack([layout.padded(e, spectrum.mean, 1) for e, spectrum in enumerate(spectra)], axis=2)
+    mean = np.stack([layout.padded(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
+    if not settings.reference:
+        size = np.sum(np.abs(mean[:, n_input:] @ inverse) ** 2, axis=2).T
+        sizes = [dict(zip(columns, size, strict=True)) for columns in layout.output_columns]
+        spectra = [_following(*of, lines, settings.smooth) for of in zip(single, spectra, sizes, strict=True)]
+    spectra = [spectrum.select(lines) for spectrum in spectra]
     frequency = spectra[0].frequency
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     noise = np.stack(noises) if len(noises) == len(spectra) else None
@@ -119,6 +126,42 @@ def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]
             spectrum = replace(spectrum, noise=noise, line_dof=dof)
         completed.append(spectrum)
     return completed
+
+
+def _following(
+    single: LineSpectrum,
+    spectrum: LineSpectrum,
+    sizes: Mapping[int, FloatArray],
+    lines: BoolArray,
+    half_width: int,
+) -> LineSpectrum:
+    """The *spectrum*, whose noise is averaged over *half_width* lines; relative to a + b |H|^2 where that of
+    the *single* lines grows so with a response, as a disturbance that goes through the structure makes it,
+    and this is likelier.
+
+    *sizes*: |H|^2 at *lines* by the column of a response.
+    """
+    if single.noise is None or half_width == 0:
+        return spectrum
+    course, of_line = np.ones(single.mean.shape), 1 / float(np.min(single.line_dof))
+    for column in sizes.keys() - {-1}:
+        power = single.noise[:, column, column].real
+        followed = noise_course(power[lines], sizes[column], of_line)
+        followed = np.interp(single.frequency, single.frequency[lines], followed)
+        # By what neighbours say of a line, of either kind: wander at low frequencies follows no resonance.
+        plain, sharp = (
+            np.maximum(neighbourhood_mean(power / of, lines, half_width, centre=False) * of, TINY)[lines]
+            for of in (np.ones_like(followed), followed)
+        )
+        gain = np.log(plain / sharp) + power[lines] * (1 / plain - 1 / sharp)
+        if np.sum(gain) > BETTER * of_line:
+            course[:, column] = followed
+    if np.all(course == 1):
+        return spectrum
+    scale = np.sqrt(course[:, :, None] * course[:, None])
+    relative = smoothed_noise(replace(single, noise=single.noise / scale), half_width)
+    assert relative.noise is not None
+    return replace(relative, noise=relative.noise * scale)
 
 
 def _injected_lines(
