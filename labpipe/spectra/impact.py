@@ -14,7 +14,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import BlockCovariance, FactoredCovariance
+from labpipe.records.response import BlockCovariance, FactoredCovariance, variance_of
 from labpipe.spectra import damping
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
@@ -323,10 +323,9 @@ def without_force_noise(
     told, since lines at which noise makes H low weigh too much by their measured covariance. Equation
     (frf-force-noise).
     """
-    if parts.covariance is None:
+    variance = variance_of(parts.covariance)
+    if variance is None:
         return parts
-    stored = parts.covariance
-    variance = np.einsum("lii->li", stored).real if isinstance(stored, np.ndarray) else stored.variance
     size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
     precision = size / np.maximum(
         variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
@@ -417,7 +416,10 @@ class _HitAverage:
             message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {hit.fault}"
             self.findings.append(note("hit-rejected", message))
             return
-        samples, window = hit.samples.copy(), self._force_window(hit)
+        samples, length = hit.samples.copy(), self._settings.impact.force_window
+        window: FloatArray = np.ones(self.n_sample)
+        if length is not None:
+            window = force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
         samples[:, self.force] *= window
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
@@ -429,12 +431,6 @@ class _HitAverage:
         self._noise += power * np.sum((window * self._exponential) ** 2)
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
-
-    def _force_window(self, hit: Hit) -> FloatArray:
-        length = self._settings.impact.force_window
-        if length is None:
-            return np.ones(self.n_sample)
-        return force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
 
     def force_noise(self) -> tuple[FloatArray, FloatArray]:
         """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force with its noise, over all hits.
