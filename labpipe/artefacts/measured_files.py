@@ -25,6 +25,7 @@ RESPONSE_SUFFIX = ".frf.parquet"
 Columns = dict[str, FloatArray]
 PARTS = ("re", "im")
 _COMPLEX = ("change", "open_loop")
+_BY_REPEAT = ("repeat_levels", "repeat_shares")
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
 
 
@@ -88,8 +89,10 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
     repeats: dict[str, Any] = {}
     if response.repeat_names:
         repeats = {"repeats": list(response.repeat_names), "repeats_are": response.repeats_are}
-    if response.repeat_names and response.repeat_levels is not None:
-        repeats["repeat_levels"] = response.repeat_levels.tolist()
+    for name in _BY_REPEAT:
+        values = getattr(response, name)
+        if response.repeat_names and values is not None:
+            repeats[name] = values.tolist()
     return {
         "name": response.name,
         "form": response.form,
@@ -169,7 +172,7 @@ def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
         ),
         repeats=np.stack(_numbered_matrices(columns, pairs, "repeat", n_repeat)) if n_repeat else None,
         repeat_names=tuple(contents.get("repeats", ())),
-        repeat_levels=np.array(contents["repeat_levels"]) if "repeat_levels" in contents else None,
+        **{name: np.array(contents[name]) for name in _BY_REPEAT if name in contents},
         repeats_are=contents.get("repeats_are", "recordings"),
         name=contents["name"],
         findings=header.findings,

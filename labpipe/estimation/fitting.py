@@ -117,7 +117,7 @@ def _fits(
         form_view(measured.form, settings)
     if isinstance(measured, FrequencyResponse) and settings.kind.equations is not None:
         return fit_linear(measured, settings, judging=judging)
-    return settings.kind.fit(measured, settings)
+    return settings.kind.fit(measured, replace(settings, judged=judging))
 
 
 def fit_linear(

@@ -80,6 +80,16 @@ class Measured:
         """What a sensor shows of a *receptance* (n_line, n_output, n_input) [m/N] of the model."""
         return receptance if self.offset is None else receptance + self.offset[:, None, None]
 
+    def scatter(self, residual: ComplexArray) -> FloatArray:
+        """E|n|^2 (...) of the noise in a *residual* (n_line, ...) [any unit], by second differences.
+
+        Of lines of correlation c, E|n_(k-1) - 2 n_k + n_(k+1)|^2 = (6 - 8 Re c_1 + 2 Re c_2) E|n|^2.
+        """
+        shared = () if self.line_noise is None else self.line_noise.correlation.real
+        first, second = (*shared[:2], 0.0, 0.0)[:2]
+        square = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0)
+        return np.asarray(square / (6 - 8 * first + 2 * second))
+
     @property
     def form_size(self) -> FloatArray:
         """Size of the measured form over that of the receptance, (n_line,) [1/s^derivatives]."""

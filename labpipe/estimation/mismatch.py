@@ -308,8 +308,7 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
         return best.problem.weights
     measured = judged.measured
     residual = measured.matrix - best.problem.model.receptance(best.values, measured.omega)
-    second = np.diff(measured.form_size[:, None, None] * residual, 2, axis=0)
-    scatter = np.mean(np.abs(second) ** 2, axis=0).ravel() / 6
+    scatter = measured.scatter(measured.form_size[:, None, None] * residual).ravel()
     return (
         np.outer(measured.form_size, 1 / np.sqrt(scatter)).astype(np.complex128)
         if np.all(scatter > 0)

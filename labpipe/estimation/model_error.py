@@ -184,7 +184,7 @@ def model_error(
         std = np.sqrt(measured.shared_noise * measured.covariance[:, 0, 0].real)
     else:
         residual = measured.form_size * (h - model.receptance(values, measured.omega)[:, 0, 0])
-        std = np.sqrt(np.mean(np.abs(np.diff(residual, 2)) ** 2) / 6) / measured.form_size
+        std = np.sqrt(measured.shared_noise * measured.scatter(residual)) / measured.form_size
     if not np.all(std > 0):
         return None
     curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))

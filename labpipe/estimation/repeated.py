@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.repeats import (
     LEAST_RANGE,
@@ -53,12 +53,19 @@ class _Test:
     settings: FitSettings
     fitting: Fitting
 
-    def alone(self, matrix: ComplexArray) -> tuple[Fit, ...]:
-        """The fits of one recording, whose noise its own residual shows; that of all weighs its lines."""
+    def alone(self, place: int) -> tuple[Fit, ...]:
+        """The fits of the recording at a *place*, whose noise its own residual shows; that of all weighs its
+        lines. Of a sweep that zeros follow, lines d apart share sin(pi d s) / (pi d s), s its share.
+        """
         of_all = None if self.settings.weight == "none" else self.response.covariance
+        shares, correlation = self.response.repeat_shares, self.response.line_correlation
+        if shares is not None:
+            correlation = tuple(map(complex, np.sinc(shares[place] * np.arange(1, len(correlation) + 1))))
+        assert self.response.repeats is not None
         recording = replace(
             self.response,
-            matrix=matrix,
+            matrix=self.response.repeats[place],
+            line_correlation=correlation,
             covariance=None if of_all is None else len(self.response.repeat_names) * of_all,
             change=None,
             open_loop=None,
@@ -66,6 +73,7 @@ class _Test:
             repeats=None,
             repeat_names=(),
             repeat_levels=None,
+            repeat_shares=None,
             averages=1.0,
             covariance_dof=float("inf"),
             findings=(),
@@ -98,9 +106,9 @@ def over_repeats(
     # By place: recordings of several folders may have one name.
     repeats: dict[int, tuple[Fit, ...]] = {}
     failed = []
-    for place, matrix in enumerate(response.repeats):
+    for place in range(len(response.repeats)):
         try:
-            fits = test.alone(matrix)
+            fits = test.alone(place)
         except FitError as error:
             named = test.named(response.repeat_names[place])
             failed.append(note("repeat-left-out", f"{named} is left out: {error.what}"))

@@ -131,7 +131,7 @@ class Support(Settings):
 class FitSettings(Settings):
     """One fit of the pipeline's ``identify:`` section; *name* is its key there, *model_settings*: of the
     section that its model has. *between*: scatter between repeats of a test, from the section
-    ``uncertainty:``.
+    ``uncertainty:``. *judged*: whether what the residual shows beyond noise is in values and intervals.
     """
 
     model: str = setting("choice", "what is identified", choices=tuple(MODELS))
@@ -213,6 +213,7 @@ class FitSettings(Settings):
     model_settings: Any = None
     uncertainties: Uncertainties = ()
     between: tuple[RepeatSource, ...] = ()
+    judged: bool = True
 
     def __post_init__(self) -> None:
         self._check_keys()

@@ -281,7 +281,12 @@ def _deviations(measured: Measured) -> FloatArray:
     assert measured.covariance is not None
     std: FloatArray = np.sqrt(np.einsum("lii->li", measured.covariance).real)
     if np.any(std == 0):
+        lines = np.flatnonzero(np.any(std == 0, axis=1))
         what = f"the variance of the FRF is zero at {_first(measured, std == 0)}"
+        if lines.size > 1:
+            what += f" and {lines.size - 1} more of {len(std)} lines"
+            hint = "a coherence rounded to 1? Export it with more digits, or leave its `averages` out"
+            raise FitError(what, hint=f"{hint}: the noise is then that of the residual")
         raise FitError(what, hint="leave this line out with `exclude`")
     return std
 

@@ -117,6 +117,9 @@ def _with_noise(response: FrequencyResponse, averages: int, path: Path) -> Frequ
         raise DataError(f"holds {has}, so 'averages' tells nothing", path, "leave `averages` out")
     if not np.all(response.coherence > 0):
         raise DataError("holds a coherence of zero: its noise has no bound", path, "leave `averages` out")
+    if np.all(response.coherence == 1):
+        what = "holds a coherence of 1 at all lines, so 'averages' tells nothing"
+        raise DataError(what, path, "export it with more digits, or leave `averages` out")
     variance = np.abs(response.matrix) ** 2 * (1 / response.coherence - 1) / (averages - 1)
     held = BlockCovariance.uncorrelated(variance)
     return replace(response, covariance=held, covariance_dof=averages - 1.0, averages=float(averages))

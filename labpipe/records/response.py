@@ -268,7 +268,8 @@ class FrequencyResponse:
     open_loop           (n_frequency, n_output, n_input) complex, H1 beside an FRF of a closed loop, which it
                         takes as open, or None: biased
     snr                 (n_frequency, n_channel) signal-to-noise amplitude ratio per channel at the line
-                        (periodic data), or None; its columns are named by snr_channels
+                        (periodic data; hits and sweeps where noise of the force was taken off), or
+                        None; its columns are named by snr_channels
     covariance_dof      effective number of complex degrees of freedom behind the covariance estimate
                         (inf: known)
     line_correlation    E[z_(k+d) z_k*] of the noise z of unit variance with that of the next lines, d = 1, 2,
@@ -283,6 +284,7 @@ class FrequencyResponse:
                         each has all of it, or of every hit or sweep, or None; named by repeat_names
     repeat_levels       (n_repeat,) [unit of the force] r.m.s. of each recording or sweep, peak of each hit,
                         or None; *repeats_are*: "recordings", "hits" or "sweeps"
+    repeat_shares       (n_repeat,) [1] of each sweep's block that are no zeros after it, or None: all of it
     """
 
     frequency: FloatArray
@@ -309,6 +311,7 @@ class FrequencyResponse:
     repeats: ComplexArray | None = None
     repeat_names: tuple[str, ...] = ()
     repeat_levels: FloatArray | None = None
+    repeat_shares: FloatArray | None = None
     repeats_are: str = "recordings"
     name: str = ""
     findings: tuple[Finding, ...] = ()
@@ -340,7 +343,7 @@ class FrequencyResponse:
             "open_loop": (np.complex128, whole),
             "snr": (np.float64, (n_f, len(self.snr_channels))),
             "repeats": (np.complex128, (len(self.repeat_names), *whole)),
-            "repeat_levels": (np.float64, (len(self.repeat_names),)),
+            **dict.fromkeys(("repeat_levels", "repeat_shares"), (np.float64, (len(self.repeat_names),))),
             "line_gains": (np.complex128, (n_f, n_gain, n_o, n_i)),
         }
         for error in self.errors:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray, handed_over
-from labpipe.records.response import FactoredCovariance
+from labpipe.records.response import BlockCovariance, FactoredCovariance, StoredCovariance
 from labpipe.spectra.matrices import (
     hermitian,
     inverse,
@@ -236,3 +236,16 @@ def covariance_of_periodic(
     covariance = np.einsum("efop,fei,fej->foipj", residual, force_inverse, force_inverse.conj())
     n = n_output * n_input
     return without_rounding(covariance.reshape(n_line, n, n))
+
+
+def corrected(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
+    """The *covariance* of elements times a *factor* (n_frequency, n_output, n_input) [1]."""
+    if covariance is None or np.all(factor == 1):
+        return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
+    flat = factor.reshape(factor.shape[0], -1)
+    if isinstance(covariance, BlockCovariance):
+        return covariance.times(flat)
+    whole = covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance
+    scaled: ComplexArray = whole * flat[:, :, None]
+    scaled *= flat[:, None, :].conj()
+    return handed_over(scaled)

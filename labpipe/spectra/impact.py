@@ -7,17 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import BlockCovariance, FactoredCovariance
+from labpipe.records.response import BlockCovariance, FactoredCovariance, variance_of
 from labpipe.spectra import damping
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
-from labpipe.spectra.covariance import ENOUGH_DOF
+from labpipe.spectra.covariance import ENOUGH_DOF, corrected
 from labpipe.spectra.ports import Layout, Parts, left_out, lines_left
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
@@ -198,14 +199,15 @@ def is_double(force: FloatArray, share: float) -> bool:
     return any(size[above[gap] : above[gap + 1]].min() < ENDED * share for gap in gaps)
 
 
-def noise_power(hit: Hit, force: int, lines: slice) -> float:
-    """Mean |X|^2 per sample [SI^2] of the force's noise about these *lines*, by the second half of what
-    follows the hit.
+def noise_power(hit: Hit, force: int, lines: slice) -> FloatArray:
+    """|X|^2 per sample (n_line,) [SI^2] of the force's noise at these *lines*, by the second half of what
+    follows the hit, under a Hann window, which keeps hum in its lines.
     """
     n_sample = len(hit.samples)
     rest = hit.samples[(n_sample + hit.trigger) // 2 :, force]
-    first, last = (end * rest.size // n_sample for end in (lines.start, lines.stop))
-    return float(np.mean(np.abs(fft.rfft(rest - np.mean(rest))[first : last + 1]) ** 2)) / rest.size
+    at = np.arange(lines.start, lines.stop) * rest.size // n_sample
+    window = np.hanning(rest.size)
+    return np.asarray(np.abs(fft.rfft(window * (rest - np.mean(rest)))[at]) ** 2 / np.sum(window**2))
 
 
 def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
@@ -236,6 +238,9 @@ def check_single_force(source: SampleSource) -> int:
 WINDOW = "give `impact: {force_window: ...}`"
 # Standard errors of a gain common to all lines by which noise of the force may move it without a word.
 MOST_COMMON = 0.5
+# Lines to either side over which noise of the force is alike, the largest share of it that is taken off, and
+# the least part of the noise of H that is that of the responses.
+AROUND, MOST_NOISE, LEAST_PART = 16, 0.9, 1e-6
 # Relative standard deviation of an FRF below which its scatter is rounding.
 ROUNDING = 1e-10
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
@@ -280,38 +285,75 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         parts = _without_window(parts, settings.damping_window, correlation)
     chosen = lines_left(parts.frequency, settings)
     parts = _select(parts, chosen)
-    errors = [average.force_noise()[chosen] for average in averages]
-    what, hint = "after its hits makes H low by", WINDOW
+    parts = replace(parts, findings=(*findings, *parts.findings))
+    errors = [error[chosen] for error in _force_errors(averages, layout, settings.impact)]
     if settings.impact.force_window is not None:
-        what = "within its window moves H by"
-        hint = "shorten `force_window` to a little more than the contact"
-    noisy = force_noise_findings(parts, errors, layout, what, hint)
-    return replace(parts, findings=(*findings, *parts.findings, *noisy))
+        what, hint = (
+            "within its window moves H by",
+            "shorten `force_window` to a little more than the contact",
+        )
+        return without_force_noise(parts, errors, layout, what, hint, taken_off=False)
+    what, low = "after its hits makes H low by", settings.estimator == "H1"
+    return without_force_noise(parts, errors, layout, what, WINDOW, taken_off=low)
 
 
-def force_noise_findings(
-    parts: Parts, errors: Sequence[FloatArray], layout: Layout, what: str, hint: str
-) -> Iterator[Finding]:
+def _force_errors(
+    averages: Sequence[_HitAverage], layout: Layout, settings: ImpactSettings
+) -> Iterator[FloatArray]:
+    """Relative error (n_line,) [1] of every recording's mean force by its noise that is alike at many lines.
+
+    The share of the noise in the power of the force, by which H1 of n hits is low but for 1/n of it; under a
+    force window the standard deviation of what this leaves, which lines nearer than its inverse share.
+    """
+    for force in layout.acting:
+        of_force = [a for a, other in zip(averages, layout.acting, strict=True) if other == force]
+        n = sum(average.n_hit for average in of_force)
+        noise, power = (sum(parts) for parts in zip(*(a.force_noise() for a in of_force), strict=True))
+        share = np.minimum(noise / np.maximum(power, np.finfo(float).tiny), MOST_NOISE)
+        yield share * (1 - 1 / n) if settings.force_window is None else np.sqrt(share / (2 * n))
+
+
+def without_force_noise(
+    parts: Parts, errors: Sequence[FloatArray], layout: Layout, what: str, hint: str, *, taken_off: bool
+) -> Parts:
     """A warning of every force whose noise moves H, alike at all lines, by more than MOST_COMMON standard
     errors of a gain common to all lines; *what* it does, and the *hint*. *errors* of each recording's force,
     relative, (n_line,) [1] each. With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
+    *taken_off*: H is low by the errors, and is H / (1 - error); of one force the noise of every channel is
+    told, since lines at which noise makes H low weigh too much by their measured covariance. Equation
+    (frf-force-noise).
     """
-    if parts.covariance is None:
-        return
-    stored = parts.covariance
-    variance = np.einsum("lii->li", stored).real if isinstance(stored, np.ndarray) else stored.variance
+    variance = variance_of(parts.covariance)
+    if variance is None:
+        return parts
     size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
     precision = size / np.maximum(
         variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
     )
-    forces = [max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns]
-    for force in dict.fromkeys(forces):
-        of_force = [error for error, number in zip(errors, forces, strict=True) if number == force]
+    factor, snr, findings = np.ones((len(size), 1, size.shape[2]), np.complex128), parts.snr, []
+    hint = f"that is taken off, as far as noise does not change; {hint}" if taken_off else hint
+    for force in dict.fromkeys(layout.acting):
+        of_force = [error for error, number in zip(errors, layout.acting, strict=True) if number == force]
         error, weights = np.mean(of_force, axis=0), precision[:, :, force]
         total = np.maximum(np.sum(weights, axis=0), np.finfo(float).tiny)
         common = float(np.max(error @ weights * np.sqrt(2 / total), initial=0.0))
         if common > MOST_COMMON:
-            yield force_noise(f"noise of the force {layout.inputs[force].label} {what}", error, common, hint)
+            named = f"noise of the force {layout.inputs[force].label} {what}"
+            findings.append(force_noise(named, error, common, hint))
+            factor[:, 0, force] = 1 / (1 - error) if taken_off else 1
+            if taken_off and len(layout.inputs) == 1:
+                # Relative variances, of which that of the force is error / (n - 1).
+                of_force, of_h = error[:, None] / (parts.averages - 1), 1 / weights
+                relative = [of_force, np.maximum(of_h - of_force, LEAST_PART * of_h)]
+                snr = 1 / np.sqrt(np.maximum(np.concatenate(relative, axis=1), np.finfo(float).tiny))
+    every = np.broadcast_to(factor, size.shape)
+    return replace(
+        parts,
+        matrix=parts.matrix * factor,
+        covariance=corrected(parts.covariance, every),
+        snr=snr,
+        findings=(*parts.findings, *findings),
+    )
 
 
 def force_noise(what: str, error: FloatArray, common: float, hint: str = WINDOW) -> Finding:
@@ -358,8 +400,8 @@ class _HitAverage:
         n_line = int(self._lines.stop - self._lines.start)
         self._sum = np.zeros((n_line, n_channel, n_channel), np.complex128)
         self.n_hit = self.n_found = 0
-        # Mean power of the force's noise at the lines, summed over the hits.
-        self._noise = 0.0
+        # Power of the force's noise at the lines, summed over the hits.
+        self._noise = np.zeros(n_line)
         self._origins: list[float] = []
         # Of each hit alone: number, peak force [N], amplitudes (n_line, n_channel).
         self._alone: list[tuple[int, float, ComplexArray]] = []
@@ -374,7 +416,10 @@ class _HitAverage:
             message = f"hit {hit.number} ('{self._source.name}', {at:.3f} s) is left out: {hit.fault}"
             self.findings.append(note("hit-rejected", message))
             return
-        samples, window = hit.samples.copy(), self._force_window(hit)
+        samples, length = hit.samples.copy(), self._settings.impact.force_window
+        window: FloatArray = np.ones(self.n_sample)
+        if length is not None:
+            window = force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
         samples[:, self.force] *= window
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
@@ -383,23 +428,19 @@ class _HitAverage:
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self.n_hit += 1
         power = noise_power(hit, self.force, self._lines)
-        self._noise += power * float(np.sum((window * self._exponential) ** 2))
+        self._noise += power * np.sum((window * self._exponential) ** 2)
         self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
-    def _force_window(self, hit: Hit) -> FloatArray:
-        length = self._settings.impact.force_window
-        if length is None:
-            return np.ones(self.n_sample)
-        return force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
+    def force_noise(self) -> tuple[FloatArray, FloatArray]:
+        """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force with its noise, over all hits.
 
-    def force_noise(self) -> FloatArray:
-        """Relative error (n_line,) [1] of the mean force by its noise that is alike at many lines: its share
-        in the power of the force, by which H1 is low, or under a force window the standard deviation of what
-        the short window leaves, which lines nearer than its inverse share.
+        The noise by the median of neighbours, which hum in a few lines leaves as it is, over that of as many
+        hits' exponential values: 2 |N|^2 is like chi-square.
         """
-        share = self._noise / np.maximum(self._sum[:, self.force, self.force].real, np.finfo(float).tiny)
-        return share if self._settings.impact.force_window is None else np.sqrt(share / (2 * self.n_hit))
+        around = scipy.ndimage.median_filter(self._noise, 2 * AROUND + 1, mode="nearest")
+        median = float(scipy.special.gammaincinv(max(self.n_hit, 1), 0.5)) / max(self.n_hit, 1)
+        return around / median, self._sum[:, self.force, self.force].real
 
     def _note_slow(self, samples: FloatArray) -> None:
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])

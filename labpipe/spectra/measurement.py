@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, handed_over
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import BlockCovariance, FactoredCovariance, FrequencyResponse, StoredCovariance
+from labpipe.records.response import FrequencyResponse
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
+from labpipe.spectra.covariance import corrected
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import hit_counts, impact_parts, of_recordings
 from labpipe.spectra.joint import joint_parts
@@ -113,6 +113,7 @@ def _with_repeats(
         repeats=np.array(alone),
         repeat_names=tuple(names),
         repeat_levels=None if len(response.inputs) > 1 else np.array(levels),
+        repeat_shares=None,
         repeats_are="recordings",
     )
 
@@ -187,7 +188,7 @@ def _measure(
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
-        covariance=_correct(parts.covariance, sensor_factor),
+        covariance=corrected(parts.covariance, sensor_factor),
         coherence=parts.coherence,
         multiple_coherence=parts.multiple_coherence,
         partial_coherence=parts.partial_coherence,
@@ -206,6 +207,7 @@ def _measure(
         repeats=None if parts.hits is None else np.moveaxis(parts.hits, 1, 0) * sensor_factor,
         repeat_names=tuple(f"{repeats_are[:-1]} {number}" for number in parts.hit_numbers),
         repeat_levels=np.array(parts.hit_peaks) if parts.hit_peaks else None,
+        repeat_shares=parts.hit_shares,
         repeats_are=repeats_are,
         errors=sum_errors(cleaned, settings, layout, (parts.frequency, matrix), open_loop),
         name=name,
@@ -220,19 +222,6 @@ def _channel_names(layout: Layout) -> tuple[str, ...]:
     if set(inputs) & set(outputs):
         inputs, outputs = [f"{label} (input)" for label in inputs], [f"{label} (output)" for label in outputs]
     return (*inputs, *outputs)
-
-
-def _correct(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
-    """The covariance of elements times *factor* (n_frequency, n_output, n_input)."""
-    if covariance is None or np.all(factor == 1):
-        return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
-    flat = factor.reshape(factor.shape[0], -1)
-    if isinstance(covariance, BlockCovariance):
-        return covariance.times(flat)
-    whole = covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance
-    corrected: ComplexArray = whole * flat[:, :, None]
-    corrected *= flat[:, None, :].conj()
-    return handed_over(corrected)
 
 
 def _coherent_outputs(parts: Parts, layout: Layout) -> set[str]:

@@ -39,6 +39,9 @@ from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
+# Gain in the logarithm of the likelihood from which noise follows a response, and the least noise [unit^2].
+BETTER, TINY = 4.5, float(np.finfo(float).tiny)
+
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
@@ -64,7 +67,8 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
-    spectra = _even(single, spectra, lines, mean[:, n_input:] @ inverse, layout, settings.smooth)
+    half_width = 0 if settings.reference else settings.smooth
+    spectra = _even(single, spectra, lines, mean[:, n_input:] @ inverse, layout, half_width)
     frequency = spectra[0].frequency
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     noise = np.stack(noises) if len(noises) == len(spectra) else None
@@ -112,8 +116,8 @@ def _even(
     half_width: int,
 ) -> list[LineSpectrum]:
     """The *smoothed* spectra at *lines*. Where the noise of outputs grows with their *response* (n_line,
-    n_output, n_input) [unit/N], as what a rig answers to besides the forces does, that of the *single* lines
-    is averaged over neighbours relative to a + b |H|^2.
+    n_output, n_input) [unit/N], as what a rig answers to besides the forces does, and this is likelier, that
+    of the *single* lines is averaged over neighbours relative to a + b |H|^2.
     """
     spectra = []
     for one, spectrum, columns in zip(single, smoothed, layout.output_columns, strict=True):
@@ -122,14 +126,31 @@ def _even(
             shape, of_line = np.ones_like(variance), 1 / float(np.min(one.line_dof))
             courses = noise_shape(variance[lines][:, columns], response, of_line)
             for column, course in zip(columns, courses.T, strict=True):
-                shape[:, column] = np.interp(one.frequency, one.frequency[lines], course)
-            scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
+                course = np.interp(one.frequency, one.frequency[lines], course)
+                if _is_better(variance[:, column], course, lines, half_width, of_line):
+                    shape[:, column] = course
             if np.any(shape != 1):
+                scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
                 spectrum = smoothed_noise(replace(one, noise=one.noise / scale), half_width)
                 assert spectrum.noise is not None
                 spectrum = replace(spectrum, noise=spectrum.noise * scale)
         spectra.append(spectrum.select(lines))
     return spectra
+
+
+def _is_better(
+    variance: FloatArray, course: FloatArray, lines: BoolArray, half_width: int, of_line: float
+) -> bool:
+    """Whether neighbours tell the *variance* of *lines* better relative to its *course*, (n_line,) each:
+    wander at low frequencies follows no resonance. By the likelihood of chi-square, of a relative variance
+    *of_line*.
+    """
+    plain, sharp = (
+        np.maximum(neighbourhood_mean(variance / of, lines, half_width, centre=False) * of, TINY)[lines]
+        for of in (np.ones_like(course), course)
+    )
+    gain = np.log(plain / sharp) + variance[lines] * (1 / plain - 1 / sharp)
+    return bool(np.sum(gain) > BETTER * of_line)
 
 
 def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]) -> list[LineSpectrum]:

@@ -66,6 +66,11 @@ class Layout:
         )
 
     @property
+    def acting(self) -> list[int]:
+        """The number of the force that acts in every recording."""
+        return [max(range(len(columns)), key=columns.__getitem__) for columns in self.input_columns]
+
+    @property
     def derivatives(self) -> int:
         """Time derivatives of the measured responses beyond those of the measured motion of a base. 0 for
         forces.
@@ -256,7 +261,7 @@ class Parts:
     coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
     n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input) [output
     unit / N] of one recording's hits or of all sweeps alone, with their numbers and peak (sweeps: r.m.s.)
-    forces [N].
+    forces [N]; hit_shares (n_hit,) [1] of a sweep's block before zeros.
     """
 
     frequency: FloatArray
@@ -277,6 +282,7 @@ class Parts:
     hits: ComplexArray | None = None
     hit_numbers: tuple[int, ...] = ()
     hit_peaks: tuple[float, ...] = ()
+    hit_shares: FloatArray | None = None
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:

@@ -20,7 +20,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_parts, noise_levels, pooled_residual
-from labpipe.spectra.impact import force_noise_findings
+from labpipe.spectra.impact import without_force_noise
 from labpipe.spectra.local import LocalNoise, check_half_width, local_noise, usual_half_width
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import neighbourhood_mean
@@ -144,6 +144,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
             hits=np.swapaxes(spectra.blocks[:, :, 1:] / spectra.blocks[:, :, :1], 0, 1)[..., None],
             hit_numbers=tuple(range(1, len(sweeps) + 1)),
             hit_peaks=tuple(sweep.level for sweep in sweeps),
+            hit_shares=None if np.all(filled == 1) else filled,
         )
     assert parts.multiple_coherence is not None
     rates = rate_findings(
@@ -159,10 +160,9 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     bursts = _bursts(spectra, lines, every, layout, n_sample, rate)
     low = _low_by_noise(spectra.blocks, lines, sweeps, layout, n_sample)
     what, hint = "in repeated sweeps makes H low by", "average less of it: a better sensor, or more force"
-    noisy = force_noise_findings(parts, low, layout, what, hint)
-    return replace(
-        parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings, *noisy, *bursts, *rates)
-    )
+    parts = replace(parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings))
+    parts = without_force_noise(parts, low, layout, what, hint, taken_off=True)
+    return replace(parts, findings=(*parts.findings, *bursts, *rates))
 
 
 def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
@@ -468,8 +468,8 @@ def _low_by_noise(
     blocks: ComplexArray, lines: IntArray, sweeps: list[FoundSweep], layout: Layout, n_sample: int
 ) -> list[FloatArray]:
     """How low least squares make H by noise n in the power s + n of a recording's force, (n_line,) [1] each:
-    (1 - 1 / n_block) n / s. Repeated sweeps, alike but for a delay, have the coherence s / (s + n) over lines
-    around; 0 without any, and where several forces act.
+    (1 - 1 / n_block) n / (s + n). Repeated sweeps, alike but for a delay, have the coherence s / (s + n) over
+    lines around; 0 without any, and where several forces act.
     """
     forces = blocks[:, :, : len(layout.inputs)]
     size, every = np.sum(np.abs(forces) ** 2, axis=1), np.ones(lines.size, bool)
@@ -486,12 +486,11 @@ def _low_by_noise(
             cross = cross[lines] * np.exp(2j * np.pi * lines * late / n_sample)
             means = (neighbourhood_mean(x, every, COHERENT) for x in (cross, np.abs(u) ** 2, np.abs(v) ** 2))
             shared, one, other = means
-            of_pairs.append(np.sqrt(one * other) / np.abs(shared) - 1)
+            of_pairs.append(1 - np.abs(shared) / np.sqrt(one * other))
         if of_pairs:
             low[force] = np.mean(of_pairs, axis=0) * (1 - 1 / np.count_nonzero(of_force))
     nothing = np.zeros(lines.size)
-    of_runs = (max(range(len(columns)), key=columns.__getitem__) for columns in layout.input_columns)
-    return [low.get(force, nothing) for force in of_runs]
+    return [low.get(force, nothing) for force in layout.acting]
 
 
 def _lines_averaged(width: int, half_width: int) -> float:

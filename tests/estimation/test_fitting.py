@@ -265,6 +265,12 @@ def test_what_a_fit_cannot_do_is_said(sdof_response, symmetric_response, coupled
     one_line = np.where(np.arange(silent.n_frequency)[:, None, None] == 3, 0, silent.covariance)
     with pytest.raises(FitError, match=r"variance of the FRF is zero at 61\.5 Hz"):
         identify(replace(silent, covariance=one_line), SDOF)
+    lines = np.where(np.arange(silent.n_frequency)[:, None, None] >= 3, 0, silent.covariance)
+    n = silent.n_frequency
+    with pytest.raises(
+        FitError, match=rf"zero at 61\.5 Hz and {n - 4} more of {n} lines; a coherence rounded to 1"
+    ):
+        identify(replace(silent, covariance=lines), SDOF)
     with pytest.raises(FitError, match="linearly dependent"):
         identify(symmetric_response(), FitSettings("rotor-2dof", mass=0.92, estimator="ls"))
 

@@ -62,8 +62,8 @@ def repeated(
     )
 
 
-def fitted(response: FrequencyResponse, **settings: object) -> Fit:
-    (fit,) = identify(response, FitSettings("sdof", **settings))  # type: ignore[arg-type]
+def fitted(response: FrequencyResponse, *, model: str = "sdof", **settings: object) -> Fit:
+    (fit,) = identify(response, FitSettings(model, **settings))  # type: ignore[arg-type]
     return fit
 
 
@@ -301,9 +301,17 @@ def test_the_budget_of_repeats_holds_what_they_scatter_by() -> None:
         assert random_part(fit, combined) == pytest.approx(alone.full_error, rel=1e-6)
 
 
-def test_noise_that_grows_and_is_shared_by_lines_is_that_of_the_mean() -> None:
+@pytest.mark.parametrize(
+    ("names", "settings"),
+    [
+        (("f_n", "zeta"), {}),
+        (("f_n_1", "zeta_1"), {"model": "modal", "model_settings": ModalSettings(order=20)}),
+    ],
+)
+def test_noise_that_grows_and_is_shared_by_lines_is_that_of_the_mean(names, settings) -> None:
     """Noise of 3 % of the response, alike on neighbours as by a Hann window: errors of the mean of 6 of f_n
-    and zeta are A J^T S J A of least squares over 6, S the noise that was drawn.
+    and zeta are A J^T S J A of least squares over 6, S the noise that was drawn. Of modes J has a residue of
+    any phase and residual terms a + b / s^2 as well; their errors were .24 of it.
     """
     base = repeated(6, 0)
     h, shared = mode(F_N, ZETA), np.eye(FREQUENCY.size)
@@ -312,14 +320,45 @@ def test_noise_that_grows_and_is_shared_by_lines_is_that_of_the_mean() -> None:
     drawn = root @ (rng.normal(size=(6, h.size, 1)) + 1j * rng.normal(size=(6, h.size, 1))) / np.sqrt(2)
     matrices = (h[:, None] + drawn)[..., None]
     response = replace(base, matrix=matrices.mean(axis=0), repeats=matrices, line_correlation=(4 / 9, 1 / 36))
-    fit = fitted(response, band=(90.0, 110.0))
+    fit = fitted(response, band=(90.0, 110.0), **settings)
     slopes = np.stack(
         [(mode(F_N * (1 + e), ZETA * (1 + g), (1 + m) / MASS) - h) / 1e-6 for e, g, m in 1e-6 * np.eye(3)],
         axis=1,
     )
+    if settings:
+        of_terms = np.stack([np.abs(h).max() + 0 * h, np.abs(h).max() * (F_N / FREQUENCY) ** 2], axis=1)
+        slopes = np.concatenate([slopes, 1j * slopes[:, 2:], of_terms, 1j * of_terms], axis=1)
     jacobian = np.concatenate([slopes.real, slopes.imag])
     gain = np.linalg.pinv(jacobian)
     noise = np.kron(np.eye(2), root @ root.T / 2)
     expected = np.sqrt(np.diag(gain @ noise @ gain.T) / 6)
-    found = [fit.parameter("f_n").std_error / F_N, fit.parameter("zeta").std_error / ZETA]
+    found = [fit.parameter(name).std_error / size for name, size in zip(names, (F_N, ZETA), strict=True)]
+    np.testing.assert_allclose(found, expected[:2], rtol=0.2)
+
+
+def test_a_short_sweep_shares_noise_between_lines_as_its_own_zeros_make_it() -> None:
+    """Noise of a quarter of a block, zeros after it: lines d apart share sinc(d / 4), whatever those of all
+    sweeps together do. Errors of the mean of 24 are A J^T S J A over 24, S the noise that was drawn; by those
+    of all they were .47 of it.
+    """
+    h, lines = mode(F_N, 0.04), np.arange(FREQUENCY.size)
+    time, size = np.arange(512) / 512 - 0.5, 0.02 * np.max(np.abs(h)) / np.sqrt(512 / 4)
+    waves = np.exp(-2j * np.pi * np.outer(lines, time))[:, np.abs(time) < 1 / 8]
+    rng = np.random.default_rng(8)
+    drawn = rng.normal(size=(24, waves.shape[1])) + 1j * rng.normal(size=(24, waves.shape[1]))
+    matrices = (h + size * drawn / np.sqrt(2) @ waves.T)[:, :, None, None]
+    response = replace(
+        repeated(24, 0),
+        matrix=matrices.mean(axis=0),
+        repeats=matrices,
+        repeat_shares=np.full(24, 0.25),
+        line_correlation=(0.0,) * 8,
+    )
+    fit = fitted(response, band=(90.0, 110.0))
+    moved = (mode(F_N * (1 + e), 0.04 * (1 + g), (1 + m) / MASS) for e, g, m in 1e-6 * np.eye(3))
+    slopes = np.stack([(other - h) / 1e-6 for other in moved], axis=1)
+    gain = np.linalg.pinv(np.concatenate([slopes.real, slopes.imag]))
+    noise = size**2 / 2 * (waves @ waves.conj().T).real
+    expected = np.sqrt(np.diag(gain @ np.kron(np.eye(2), noise) @ gain.T) / 24)
+    found = [fit.parameter("f_n").std_error / F_N, fit.parameter("zeta").std_error / 0.04]
     np.testing.assert_allclose(found, expected[:2], rtol=0.2)

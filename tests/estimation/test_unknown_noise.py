@@ -235,12 +235,17 @@ def test_averages_and_coherence_tell_the_noise(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("coherences", "fault"), [("", "holds no coherence"), (" 0.5", "holds a coherence of zero")]
+    ("first", "second", "fault"),
+    [
+        ("", "", "holds no coherence"),
+        (" 0.5", " 0", "holds a coherence of zero"),
+        (" 1", " 1", "holds a coherence of 1 at all lines"),
+    ],
 )
-def test_averages_need_a_coherence(tmp_path: Path, coherences: str, fault: str) -> None:
+def test_averages_need_a_coherence(tmp_path: Path, first: str, second: str, fault: str) -> None:
     path = tmp_path / "h.txt"
-    path.write_text(f"1 2 3{coherences}\n2 2 3{coherences and ' 0'}\n")
-    columns = FrfColumns(frequency="1", re="2", im="3", coherence="4" if coherences else "")
+    path.write_text(f"1 2 3{first}\n2 2 3{second}\n")
+    columns = FrfColumns(frequency="1", re="2", im="3", coherence="4" if first else "")
     layout = FrfLayout(file="h.txt", columns=columns, form="receptance", averages=5)
     with pytest.raises(DataError, match=rf"h\.txt.*{fault}"):
         load_described(ReadyFrf((path,), layout, (("x",),), (("f",),)), layout, "", {})

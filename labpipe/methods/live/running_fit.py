@@ -526,7 +526,7 @@ class HitCutter(_Cutter):
             length = self._impact.force_window * self.sample_rate
             window[:, 0] = force_window(self.n_sample, trigger, length)
             windowed[:, [self._force]] *= window
-        noise = noise_power(hit, self._force, self._lines) * float(np.sum(window**2))
+        noise = float(np.mean(noise_power(hit, self._force, self._lines)) * np.sum(window**2))
         self.force_noise.append(noise * (2 / self.n_sample) ** 2)
         return self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
 

@@ -421,14 +421,16 @@ def _report(
     moved = [mode for mode in moved if not mode.instead]
     moving = settings.model_settings.moving_mass is not None
     shown = misfit or bool(moved) or moving
-    if refined.converged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
+    # The mass that moves is taken off the points alone.
+    judged = refined.converged and (settings.judged or moving)
+    if judged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
         errors = model_error.model_errors(
             measured, beyond, estimate, parameters, misfit, moved, moving=moving
         )
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are no fault of the modes.
     named = errors if misfit or not shown else {}
-    if misfit or errors:
+    if judged and (misfit or errors):
         parameters = model_error.with_model_errors(
             parameters, errors, estimate, measured.omega / (2 * np.pi), instead
         )

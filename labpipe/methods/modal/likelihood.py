@@ -326,19 +326,20 @@ def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients))
 
 
-def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+def by_lines(terms: ResidualTerms, refined: Refined, shared: float = 1.0, *, real: bool = False) -> Refined:
     """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
     for all parameters at once, with terms and shapes eliminated output by output.
 
     S_o: slopes by poles and participation without the shapes, r_o: residual; shares of a line in the former x
-    = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
+    = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *shared*: variance of
+    a sum over the lines over that of independent ones [1]; *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
     state = _State.at(terms, refined.poles, refined.participation, real)
     state = replace(state, variance=refined.noise)
     normal, _, inverse, eliminated, psi = state._schur()
     functions, residual = terms.without(_functions(lines, refined.poles)), remaining(terms, refined)
-    of_shapes, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
+    of_psi, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
     by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
 
     def of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -347,7 +348,7 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
         of_shape, slopes, rest = (
             np.concatenate([columns.real, columns.imag], axis=1)
             for columns in (
-                (functions[:, : 2 * psi.shape[1]] @ (of_shapes / root[:, None, None])).swapaxes(0, 1),
+                (functions[:, : 2 * psi.shape[1]] @ (of_psi / root[:, None, None])).swapaxes(0, 1),
                 (functions @ (by_theta[output] / root[:, None, None])).swapaxes(0, 1),
                 (residual[:, output] / root)[:, :, None],
             )
@@ -371,12 +372,12 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
             (of_shape.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output]
             - shares[:, :, 0] @ eliminated[output].T
         )
-    of_poles = shares[:, :, 0]
+    of_poles, of_shapes = np.sqrt(shared) * shares[:, :, 0], np.sqrt(shared) * np.array(of_outputs)
     return replace(
         refined,
         covariance=of_poles.T @ of_poles,
-        crossed=np.array([of.T @ of_poles for of in of_outputs]),
-        shape_covariance=np.array([of.T @ of for of in of_outputs]),
+        crossed=of_shapes.swapaxes(1, 2) @ of_poles,
+        shape_covariance=of_shapes.swapaxes(1, 2) @ of_shapes,
     )
 
 

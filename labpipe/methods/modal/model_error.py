@@ -485,10 +485,10 @@ def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> Fl
     if measured.variance is not None and not estimate.unused and np.all(measured.variance > 0):
         return None
     residual = (measured.matrix - estimate.fitted)[near].reshape(np.count_nonzero(near), -1)
-    scatter = np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0) / 6
+    scatter = measured.shared_noise * measured.scatter(residual)
     if not np.all(scatter > 0):
         raise FitError("there is no noise to weigh a model error by")
-    return np.asarray(scatter)
+    return scatter
 
 
 def _noise(measured: Measured, scatter: FloatArray | None) -> FloatArray:
