@@ -26,6 +26,8 @@ ENOUGH_DOF = 16.0
 # Rounds of the fit of a residual's two parts, and standard errors by which a part must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Gain in the logarithm of the likelihood from which noise follows a response, and the least noise [unit^2].
+BETTER, TINY = 4.5, float(np.finfo(float).tiny)
 # Recordings share their noise unless it differs by more than this share and more standard errors than this.
 # Their levels are compared on lines with the mean of so many to either side.
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
@@ -176,6 +178,23 @@ def noise_course(variance: FloatArray, power: FloatArray, of_line: float) -> Flo
         shape = np.maximum(columns @ values, np.finfo(float).eps)
     covariance = np.linalg.pinv(weighted.T @ weighted) * of_line
     return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
+
+
+def likelier_course(power: FloatArray, size: FloatArray, half_width: int, of_line: float) -> FloatArray:
+    """a + b |H|^2 (n_line,) [unit^2] of noise of this *power* (n_line,) [unit^2] where by that the lines
+    around tell a line better, 1 where not: wander at low frequencies follows no resonance.
+
+    |H|^2 = *size* (n_line,) [any unit]; *of_line*: relative variance [1] of what one line tells.
+    """
+    course, every = noise_course(power, size, of_line), np.ones(power.size, bool)
+    if np.all(course == 1):
+        return course
+    plain, sharp = (
+        np.maximum(neighbourhood_mean(power / of, every, half_width, centre=False) * of, TINY)
+        for of in (np.ones_like(course), course)
+    )
+    gain = np.sum(np.log(plain / sharp) + power * (1 / plain - 1 / sharp))
+    return course if gain > BETTER * of_line else np.ones_like(course)
 
 
 def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:

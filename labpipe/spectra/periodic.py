@@ -19,7 +19,7 @@ from labpipe.records.response import FrequencyResponse, uncorrelated
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
-from labpipe.spectra.covariance import covariance_of_periodic, joined_response, noise_course
+from labpipe.spectra.covariance import covariance_of_periodic, joined_response, likelier_course
 from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import (
@@ -38,9 +38,6 @@ from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
-
-# Gain in the logarithm of the likelihood from which noise follows a response, and the least noise [unit^2].
-BETTER, TINY = 4.5, float(np.finfo(float).tiny)
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -145,17 +142,9 @@ def _following(
         return spectrum
     course, of_line = np.ones(single.mean.shape), 1 / float(np.min(single.line_dof))
     for column in sizes.keys() - {-1}:
-        power = single.noise[:, column, column].real
-        followed = noise_course(power[lines], sizes[column], of_line)
-        followed = np.interp(single.frequency, single.frequency[lines], followed)
-        # By what neighbours say of a line, of either kind: wander at low frequencies follows no resonance.
-        plain, sharp = (
-            np.maximum(neighbourhood_mean(power / of, lines, half_width, centre=False) * of, TINY)[lines]
-            for of in (np.ones_like(followed), followed)
-        )
-        gain = np.log(plain / sharp) + power[lines] * (1 / plain - 1 / sharp)
-        if np.sum(gain) > BETTER * of_line:
-            course[:, column] = followed
+        power = single.noise[lines, column, column].real
+        followed = likelier_course(power, sizes[column], half_width, of_line)
+        course[:, column] = np.interp(single.frequency, single.frequency[lines], followed)
     if np.all(course == 1):
         return spectrum
     scale = np.sqrt(course[:, :, None] * course[:, None])
