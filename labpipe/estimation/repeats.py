@@ -138,7 +138,12 @@ def repeat_mean(
     low, high = mixture_interval(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
     stretch, _ = order_in_time(values - columns @ solution)
     spread = float(taus[np.searchsorted(np.cumsum(shares), 0.5)])
-    half_width = (high - low) / 2 * _longer(stretch, n, n_column)
+    longer = 1.0
+    if stretch > 1.0:
+        # sqrt(k) and the quantile of fewer repeats where neighbours are alike.
+        limit = student_limit(max(1.0, n / stretch - 1))
+        longer = float(np.sqrt(stretch) * limit / student_limit(n - n_column))
+    half_width = (high - low) / 2 * longer
     mean_weights = shares @ projection[:, 0]
     return RepeatMean(float(solution[0]), half_width, spread, mean_weights, solution[1:], stretch > 1.0)
 
@@ -271,10 +276,3 @@ def order_in_time(residual: FloatArray) -> tuple[float, float]:
         return 1.0, rho
     believed = min(rho, MOST_CORRELATED)
     return (1 + believed) / (1 - believed), rho
-
-
-def _longer(stretch: float, n: int, n_column: int) -> float:
-    """Factor on the half-width where neighbours are alike: sqrt(k) and the quantile of fewer repeats."""
-    if stretch <= 1.0:
-        return 1.0
-    return float(np.sqrt(stretch) * student_limit(max(1.0, n / stretch - 1)) / student_limit(n - n_column))

@@ -26,6 +26,8 @@ ENOUGH_DOF = 16.0
 # Rounds of the fit of a residual's two parts, and standard errors by which a part must exceed zero.
 REWEIGHTED = 5
 SIGNIFICANT = 3.0
+# Gain in the logarithm of the likelihood from which noise follows a response, and the least noise [unit^2].
+BETTER, TINY = 4.5, float(np.finfo(float).tiny)
 # Recordings share their noise unless it differs by more than this share and more standard errors than this.
 # Their levels are compared on lines with the mean of so many to either side.
 SAME_SHARE, SAME_ERRORS, SMOOTH = 0.1, 4.0, 12
@@ -177,13 +179,30 @@ def _power(response: ComplexArray) -> FloatArray:
     return np.asarray(size.sum(axis=2))
 
 
-def noise_shape(variance: FloatArray, response: ComplexArray, of_line: float) -> FloatArray:
+def noise_shape(
+    variance: FloatArray, response: ComplexArray, of_line: float, half_width: int = 0
+) -> FloatArray:
     """a + b |H|^2 [1] of each output's *variance* (n_line, n_output) [any unit] where b is SIGNIFICANT, else
     1; *response* H (n_line, n_output, n_input) [unit/N]. *of_line*: relative variance [1] of a line's
-    variance.
+    variance. With a *half_width* also only where so many lines to either side tell a line better by it:
+    wander at low frequencies follows no resonance.
     """
-    pairs = zip(variance.T, _power(response).T, strict=True)
-    return np.column_stack([_shape(one, power, of_line) for one, power in pairs])
+    shapes = []
+    for one, power in zip(variance.T, _power(response).T, strict=True):
+        shape = _shape(one, power, of_line)
+        better = half_width == 0 or _gain(one, shape, half_width) > BETTER * of_line
+        shapes.append(shape if better else np.ones_like(shape))
+    return np.column_stack(shapes)
+
+
+def _gain(variance: FloatArray, shape: FloatArray, half_width: int) -> float:
+    """What the logarithm of the likelihood of chi-square gains by a *shape* (n_line,) [1], by neighbours."""
+    every = np.ones(variance.size, bool)
+    plain, sharp = (
+        np.maximum(neighbourhood_mean(variance / of, every, half_width, centre=False) * of, TINY)
+        for of in (np.ones_like(shape), shape)
+    )
+    return float(np.sum(np.log(plain / sharp) + variance * (1 / plain - 1 / sharp)))
 
 
 def _shape(variance: FloatArray, power: FloatArray, of_line: float) -> FloatArray:

@@ -39,9 +39,6 @@ from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
-# Gain in the logarithm of the likelihood from which noise follows a response, and the least noise [unit^2].
-BETTER, TINY = 4.5, float(np.finfo(float).tiny)
-
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
@@ -124,11 +121,9 @@ def _even(
         if one.noise is not None and half_width > 0:
             variance = np.einsum("laa->la", one.noise).real
             shape, of_line = np.ones_like(variance), 1 / float(np.min(one.line_dof))
-            courses = noise_shape(variance[lines][:, columns], response, of_line)
+            courses = noise_shape(variance[lines][:, columns], response, of_line, half_width)
             for column, course in zip(columns, courses.T, strict=True):
-                course = np.interp(one.frequency, one.frequency[lines], course)
-                if _is_better(variance[:, column], course, lines, half_width, of_line):
-                    shape[:, column] = course
+                shape[:, column] = np.interp(one.frequency, one.frequency[lines], course)
             if np.any(shape != 1):
                 scale = np.sqrt(shape[:, :, None] * shape[:, None, :])
                 spectrum = smoothed_noise(replace(one, noise=one.noise / scale), half_width)
@@ -136,21 +131,6 @@ def _even(
                 spectrum = replace(spectrum, noise=spectrum.noise * scale)
         spectra.append(spectrum.select(lines))
     return spectra
-
-
-def _is_better(
-    variance: FloatArray, course: FloatArray, lines: BoolArray, half_width: int, of_line: float
-) -> bool:
-    """Whether neighbours tell the *variance* of *lines* better relative to its *course*, (n_line,) each:
-    wander at low frequencies follows no resonance. By the likelihood of chi-square, of a relative variance
-    *of_line*.
-    """
-    plain, sharp = (
-        np.maximum(neighbourhood_mean(variance / of, lines, half_width, centre=False) * of, TINY)[lines]
-        for of in (np.ones_like(course), course)
-    )
-    gain = np.log(plain / sharp) + variance[lines] * (1 / plain - 1 / sharp)
-    return bool(np.sum(gain) > BETTER * of_line)
 
 
 def _with_noise(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource]) -> list[LineSpectrum]:

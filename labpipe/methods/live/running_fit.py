@@ -23,6 +23,7 @@ from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import Lags
+from labpipe.spectra.covariance import noise_shape
 from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_noise, force_window, judged_hit, noise_power
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
@@ -66,8 +67,14 @@ class PeriodSums:
         self._scatter += sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
 
     def covariance(self) -> ComplexArray:
-        """Of the mean, over neighbouring lines, (n_line, n_experiment, n_channel, n_channel) [units^2]."""
-        return np.asarray(moving_mean(self._scatter) / ((self.n - 1) * self.n))
+        """Of the mean, over neighbouring lines, (n_line, n_experiment, n_channel, n_channel) [units^2];
+        relative to the course of a channel's motion where its noise follows that, as in a run.
+        """
+        variance = np.einsum("lecc->lec", self._scatter).real
+        flat = variance.reshape(len(variance), -1), self.mean.reshape(len(variance), -1, 1)
+        root = np.sqrt(noise_shape(*flat, 1 / (self.n - 1), HALF_WIDTH)).reshape(variance.shape)
+        scale = root[..., :, None] * root[..., None, :]
+        return np.asarray(moving_mean(self._scatter / scale) * scale / ((self.n - 1) * self.n))
 
 
 class HitSums:

@@ -432,7 +432,11 @@ class _Band:
         (a, b), _ = pole_functions((1j * measured.omega[near]), refined.poles, refined.hysteretic)
         a[:, mode] = b[:, mode] = 0.0
         others = (a @ flat.T + b @ flat.T.conj()).reshape(-1, *shape)
-        std = _noise(measured, scatter)[near].reshape(-1, *shape)
+        power = scatter
+        if power is None:
+            assert measured.variance is not None
+            power = measured.shared_noise * measured.variance[near]
+        std = np.broadcast_to(np.sqrt(power).reshape(-1, *shape), measured.matrix[near].shape)
         is_near = (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
         columns = residues[:, :, [mode, *np.flatnonzero(is_near)]]
         return cls(pole, frequency[near], measured.matrix[near] - others, std, columns)
@@ -489,13 +493,6 @@ def _scatter(measured: Measured, estimate: ModalEstimate, near: BoolArray) -> Fl
     if not np.all(scatter > 0):
         raise FitError("there is no noise to weigh a model error by")
     return scatter
-
-
-def _noise(measured: Measured, scatter: FloatArray | None) -> FloatArray:
-    if scatter is not None:
-        return np.broadcast_to(np.sqrt(scatter), (measured.omega.size, scatter.size))
-    assert measured.variance is not None
-    return np.sqrt(measured.shared_noise * measured.variance)
 
 
 def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:

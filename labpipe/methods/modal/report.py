@@ -44,22 +44,17 @@ def modes_table(fit: Fit, modes: Modes) -> Table:
         (
             str(n + 1),
             f"{stated.get(f'f_n_{n + 1}', modes.frequency[n]):.6g}",
-            f"{100 * _damping_ratio(stated, modes, n):.4g}",
+            # A loss factor is twice the damping ratio of the same peak.
+            f"{100 * stated.get(f'zeta_{n + 1}', stated.get(f'eta_{n + 1}', 2 * ratio) / 2):.4g}",
             modes.points[largest[n]],
             modes.references[strongest[n]],
             f"{modes.collinearity[n]:.4f}",
             "" if modes.returns is None else f"{100 * modes.returns[n]:.0f}",
             modes.driving_points[n] if modes.driving_points else "",
         )
-        for n in range(modes.frequency.size)
+        for n, ratio in enumerate(modes.damping_ratio.tolist())
     )
     return Table(HEADER, rows, f"Modes of {fit_title(fit)}", (1, 2, 5, 6))
-
-
-def _damping_ratio(stated: dict[str, float], modes: Modes, n: int) -> float:
-    # A loss factor is twice the damping ratio of the same peak.
-    twice = stated.get(f"eta_{n + 1}", 2 * float(modes.damping_ratio[n]))
-    return stated.get(f"zeta_{n + 1}", twice / 2)
 
 
 def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Figure:
