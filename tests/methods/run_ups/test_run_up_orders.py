@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from labpipe.errors import DataError
-from labpipe.methods.run_ups.measured import at_speeds, difference, run_up_of
+from labpipe.methods.run_ups.joint import fit_jointly
+from labpipe.methods.run_ups.measured import added_since, at_speeds, difference, run_up_of
+from labpipe.methods.run_ups.methods import fit_points
+from labpipe.methods.run_ups.misfit import ExcitedRun, scales, shared_noise
 from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.methods.run_ups.rotor import PRIOR, as_eight
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.orders import cascade_spectra, track_order
 from labpipe.spectra.settings import ShaftLines
+from tests.methods.run_ups.run_up_cases import RIG, trained
 
 RATE = 2000.0
 LINES = ShaftLines(tacho="tacho", harmonics=2)
@@ -188,3 +193,52 @@ def test_a_cascade_has_its_peaks_on_the_shaft_line() -> None:
     np.testing.assert_allclose(found.amplitude[:, :, 0].max(axis=1), abs(X), rtol=0.16)
     with pytest.raises(DataError, match=r"shorter than two blocks of 0\.5 s"):
         cascade_spectra(sweep(0.6), LINES, resolution=2.0)
+
+
+def test_runs_less_one_baseline_share_its_noise() -> None:
+    """A closed form: of n equal runs less one run, all of one noise, the mean has (1 + 1/n) of its variance
+    and not 2/n, so that V becomes V + V (n - 1)/2 (V^-1 - P) V beside priors of information P.
+    """
+    n, source = 4, trained("inside")[1]
+    error = np.full(source.response.shape, 3e-7)
+    before = replace(
+        source,
+        response=np.roll(0.3j * source.response, 1, axis=0),
+        unbalance={"disc 1": 0j},
+        amplitude_error=error,
+        phase_error=error / np.abs(np.roll(0.3 * source.response, 1, axis=0)),
+    )
+    both = source.response + before.response
+    after = replace(source, response=both, amplitude_error=error, phase_error=error / np.abs(both))
+    runs = [replace(difference(after, before), name=f"run {number}") for number in range(n)]
+    alone = [replace(run, baseline=None) for run in runs]
+    fit, plain = fit_jointly(RIG, runs, use_thresholds=False), fit_jointly(RIG, alone, use_thresholds=False)
+    np.testing.assert_allclose(fit.values, plain.values, rtol=1e-12)
+    v = plain.covariance
+    by_data = np.eye(PRIOR.size) - v / PRIOR**2
+    np.testing.assert_allclose(fit.covariance, v + (n - 1) / 2 * by_data @ v, rtol=1e-6, atol=1e-9 * v.max())
+    one, of_itself = (fit_jointly(RIG, some[:1], use_thresholds=False) for some in (runs, alone))
+    np.testing.assert_allclose(one.covariance, of_itself.covariance, rtol=1e-9)
+    start = RIG.start_coefficients(source.load, source.speed)
+    points, unit = fit_points(RIG, runs, bound=0.9)[0], scales(as_eight(*start))
+    slopes = fit.groups[0].residual_and_slopes(points.coefficients)[1] * unit[:, None]
+    v = np.linalg.inv(slopes.swapaxes(1, 2) @ slopes + np.eye(8) / 0.15**2)
+    shared = v + (n - 1) / 2 * (v - v @ v / 0.15**2)
+    expected = np.sqrt(np.diagonal(shared, axis1=1, axis2=2)) * unit
+    np.testing.assert_allclose(points.std_error, expected, rtol=1e-6)
+
+
+def test_a_baseline_read_between_its_speeds_is_shared_in_parts() -> None:
+    """Two runs at speeds a quarter and a half between two readings of the run that both subtract: their
+    errors have the covariance .75 x .5 + .25 x .5 of its variance, by hand.
+    """
+    residual = run(SPEED, phasors(2e-5, 2e-5), {"disc 1": 0j})
+    parts = []
+    for speed in (102.5, 105.0):
+        moved = run(np.array([speed]), phasors(5e-5, 5e-5)[:1], {"disc 1": 5e-5 + 0j})
+        net = added_since(residual, moved)
+        excited = ExcitedRun(net, RIG.condensed(net.speed, {}))
+        slopes = np.zeros((1, excited.n_equation, 1))
+        slopes[0, 0] = net.amplitude_error[0, 0, 0]
+        parts.append((net, excited.by_baseline(slopes)[0]))
+    assert shared_noise(parts, 1)[0, 0] == pytest.approx(2 * (0.75 * 0.5 + 0.25 * 0.5) * 1e-7**2)
