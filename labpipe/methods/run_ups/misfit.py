@@ -53,8 +53,9 @@ class ExcitedRun:
         return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
 
     def by_baseline(self, slopes: FloatArray) -> FloatArray:
-        """J^T dr (n_speed, n_reading, n_parameter) by one standard error of each reading of the baseline,
-        along and across it, between two in their shares; *slopes* J (n_speed, n_equation, n_parameter).
+        """J^T dr (n_speed, n_reading, n_parameter) [1/parameter unit] by one standard error of each reading of
+        the baseline, along and across it, between two in their shares; *slopes* J (n_speed, n_equation,
+        n_parameter) [1/parameter unit].
         """
         base = self.run.baseline
         assert base is not None
@@ -116,9 +117,9 @@ def sources_of(groups: Iterable[LoadRuns]) -> tuple[Uncertainty, ...]:
 
 
 def shared_noise(parts: Iterable[tuple[RunUp, FloatArray]], n_parameter: int) -> FloatArray:
-    """What J^T J (..., n_parameter, n_parameter) of runs less one baseline lacks: its noise is the same in
-    all of them, and weights count it as anew in each. *parts*: a run, and of it J^T dr of `by_baseline`.
-    Equation (run-baseline).
+    """What J^T J (..., n_parameter, n_parameter) [1/parameter units] of runs less one baseline lacks: its
+    noise is the same in all of them, and weights count it as anew in each. *parts*: a run, and of it J^T dr
+    of `by_baseline`. Equation (run-baseline).
     """
     excess = np.zeros((n_parameter, n_parameter))
     sums: dict[bytes, FloatArray] = {}
