@@ -53,8 +53,8 @@ class ExcitedRun:
         return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
 
     def by_baseline(self, slopes: FloatArray) -> FloatArray:
-        """J^T dr (n_speed, n_reading, n_parameter) [1/parameter unit] by one standard error of each reading of
-        the baseline, along and across it, between two in their shares; *slopes* J (n_speed, n_equation,
+        """J^T dr (n_speed, n_reading, n_parameter) [1/parameter unit] by one standard error of each reading
+        of the baseline, along and across it, between two in their shares; *slopes* J (n_speed, n_equation,
         n_parameter) [1/parameter unit].
         """
         base = self.run.baseline
