@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from labpipe.errors import ConfigError, LabpipeError
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
@@ -87,7 +88,7 @@ def _with_repeats(
     """
     ports = [port.label for port in (*response.outputs, *response.inputs)]
     spacing = float(np.min(np.diff(response.frequency), initial=response.frequency[0]))
-    alone, names, levels = [], [], []
+    alone, names, levels, chains = [], [], [], []
     for number, source in enumerate(sources if len(sources) > 1 else ()):
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
             return response
@@ -105,17 +106,33 @@ def _with_repeats(
             return response
         alone.append(of_one.matrix[lines])
         names.append(source.name)
+        chains.append((of_one.outputs, of_one.inputs))
         levels.append(_level(source))
     if len(alone) < 2:
         return response
+    outputs, inputs = (tuple(map(_mean_port, zip(*ends, strict=True))) for ends in zip(*chains, strict=True))
     return replace(
         response,
+        outputs=outputs,
+        inputs=inputs,
         repeats=np.array(alone),
         repeat_names=tuple(names),
         repeat_levels=None if len(response.inputs) > 1 else np.array(levels),
         repeat_shares=None,
         repeats_are="recordings",
     )
+
+
+def _mean_port(ports: tuple[Port, ...]) -> Port:
+    """Of one port in each of n recordings, that of their mean: of a calibration that n_s of them have, the
+    error is n_s / n of its own.
+    """
+    times = Counter(calibration for port in ports for calibration in port.uncertainties)
+    uncertainties = tuple(
+        replace(c, uncertainty=replace(c.uncertainty, std_error=c.uncertainty.std_error * n / len(ports)))
+        for c, n in times.items()
+    )
+    return replace(ports[0], uncertainties=uncertainties)
 
 
 def _level(source: SampleSource) -> float:

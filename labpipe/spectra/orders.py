@@ -85,7 +85,8 @@ def track_order(
     """The order's amplitude in segments of *revolutions*, by least squares of a constant and the harmonics,
     which change linearly in time over FEWEST_TURNS or more. *lines* gives the shaft's speed or tacho, and
     with `harmonics` the multiples fitted together with the order. With the noise variance s^2 over n samples
-    E|dX|^2 = 4 s^2 / n, and more over few turns. Delays, that of the tacho too, and
+    E|dX|^2 = 4 s^2 / n, and more over few turns; s^2 is that of the lines beside the order where
+    these show more. Delays, that of the tacho too, and
     frequency responses of the channels are taken out. DataError without a complete segment, without two
     samples for a turn of the order, or outside a channel's response. Equation (run-order).
     """
@@ -98,13 +99,14 @@ def track_order(
     ports = tuple(Port(c.name, c.name, c.dof, c.angle, c.uncertainties) for c in sensors)
     planes = planes_of(ports)
     segments = []
+    beside = _orders_beside(orders, order, revolutions)
     for time, angle, samples in _segments(source, motion, revolutions):
-        fitted = _fit(time, angle, samples, outputs, orders, order)
+        fitted = _fit(time, angle, samples, outputs, orders, order, beside)
         segments.append((*fitted, *_total_motion(samples[:, outputs], planes)))
     if not segments:
         what = f"recording '{source.name}' is shorter than {revolutions} revolutions"
         raise DataError(what, hint="lower the number of revolutions")
-    times, speed, amplitude, variance, mean, overall, orbit = (
+    times, speed, amplitude, variance, mean, colour, overall, orbit = (
         np.array(column) for column in zip(*segments, strict=True)
     )
     top = order * float(speed.max())
@@ -121,7 +123,7 @@ def track_order(
         time=times,
         speed=speed,
         amplitude=amplitude,
-        variance=variance / np.abs(chains) ** 2,
+        variance=variance * _whole_colour(colour, beside.size) / np.abs(chains) ** 2,
         ports=ports,
         overall=overall,
         orbit=orbit,
@@ -191,7 +193,8 @@ def _fit(
     outputs: list[int],
     orders: FloatArray,
     order: float,
-) -> tuple[float, float, ComplexArray, FloatArray, FloatArray]:
+    beside: FloatArray,
+) -> tuple[float, float, ComplexArray, FloatArray, FloatArray, FloatArray]:
     # Beyond half the sampling rate a harmonic is a lower order: both would share its amplitude.
     step = (angle[-1] - angle[0]) / max(time.size - 1, 1)
     orders = orders[(orders * step < np.pi) | (orders == order)]
@@ -208,7 +211,36 @@ def _fit(
     noise = np.sum(residual**2, axis=0) / max(time.size - columns.shape[1], 1)
     speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
     amplitude = solution[parts[0]] + 1j * solution[parts[1]]
-    return middle, float(speed), amplitude, np.sum(inverse[parts] ** 2) * noise, solution[0]
+    lines = np.exp(-1j * angle[:, None] * beside).T @ residual
+    colour = np.mean(np.abs(lines) ** 2, axis=0) / np.maximum(time.size * noise, 1e-300)
+    return middle, float(speed), amplitude, np.sum(inverse[parts] ** 2) * noise, solution[0], colour
+
+
+# Lines to either side of an order whose power is that of its noise, from the first that its change in time
+# does not reach; segments over which that is averaged; standard deviations from white noise.
+NEAREST, FARTHEST, TOGETHER, COLOURED = 3, 8, 21, 6.0
+
+
+def _orders_beside(orders: FloatArray, order: float, revolutions: int) -> FloatArray:
+    """Orders (n_line,) [1] that turn whole times in a segment, beside *order* and apart from all *orders*."""
+    steps = np.arange(NEAREST, FARTHEST + 1)
+    beside = order + np.concatenate([-steps[::-1], steps]) / revolutions
+    apart = np.min(np.abs(beside[:, None] - np.append(orders, 0.0)), axis=1) * revolutions > NEAREST - 0.5
+    return np.asarray(beside[apart])
+
+
+def _whole_colour(colour: FloatArray, n_line: int) -> FloatArray | float:
+    """Noise at the order over that of all frequencies (n_segment, n_output) [1], from the *colour* of every
+    segment by *n_line* lines; 1 where it may be white. Less it does not count: the residual holds more than
+    noise then, as another harmonic.
+    """
+    if not n_line:
+        return 1.0
+    window = np.ones(min(TOGETHER, len(colour)))
+    count = np.convolve(np.ones(len(colour)), window, "same")
+    smooth = np.stack([np.convolve(column, window, "same") / count for column in colour.T], axis=1)
+    deviation = 1 / np.sqrt(n_line * count)[:, None]
+    return np.where(np.any(smooth - 1 > COLOURED * deviation, axis=0), np.maximum(smooth, 1.0), 1.0)
 
 
 MOST_BLOCKS = 40

@@ -13,6 +13,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -85,6 +86,25 @@ def test_a_single_period_beside_others_has_their_noise(rng: np.random.Generator)
     assert np.mean(predicted / observed) == pytest.approx(1.0, abs=0.1)
     assert np.median(predicted) == pytest.approx(closed, rel=0.1)
     assert drawn[0].covariance_dof >= 3
+
+
+def test_calibrations_that_recordings_do_not_share_average_out(rng: np.random.Generator) -> None:
+    """The mean of three recordings, of which two have one sensor and all one load cell: by hand its gain has
+    errors of 2/3 of the first sensor, 1/3 of the second, and of the load cell in full.
+    """
+    first, second, cell = (
+        ChannelUncertainty("gain", Uncertainty(source, 0.03, "1")) for source in ("first", "second", "cell")
+    )
+    recordings = []
+    for sensor in (first, second, first):
+        plain = periodic_recording(rng, (2.0,), 1e-3)
+        force, response = plain.channels
+        channels = replace(force, uncertainties=(cell,)), replace(response, uncertainties=(sensor,))
+        recordings.append(replace(plain, channels=channels))
+    of_all = measure(recordings, PERIODIC)
+    stated = {c.uncertainty.source: c.uncertainty.std_error for c in of_all.outputs[0].uncertainties}
+    assert stated == pytest.approx({"first": 0.02, "second": 0.01})
+    assert of_all.inputs[0].uncertainties == (cell,)
 
 
 def test_a_sensor_s_delay_is_taken_out(rng: np.random.Generator) -> None:

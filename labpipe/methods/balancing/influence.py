@@ -23,6 +23,9 @@ DRAWS, SEED = 4000, 20261125
 # Truths over which one more run is looked at.
 TRIED = 200
 COVERED = (2.5, 97.5)
+# Rounds of reweighting, degrees of freedom and width of the draws about their result; the 95 % quantile of
+# chi-square of one number.
+REWEIGHTED, TAILS, WIDER, PROFILE = 10, 4, 2.0, 3.841
 
 
 @dataclass(frozen=True)
@@ -251,7 +254,10 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Re
     low, high = np.percentile(sizes, COVERED, axis=0)
     first, last = np.percentile(np.sqrt(np.mean(sizes**2, axis=1)), COVERED).tolist()
     before = float(np.sqrt(np.mean(np.abs(knowledge.mean[:, 0]) ** 2)))
-    upper = np.percentile(np.abs(_made_by_planes(drawn[:400]) + weights), 95, axis=0)
+    if weights.size < knowledge.mean.shape[0] and not knowledge.modelled:
+        upper = most_unbalance(knowledge, weights)
+    else:
+        upper = np.percentile(np.abs(_made_by_planes(drawn[:400]) + weights), 95, axis=0)
     if knowledge.narrow is not None:
         below = residual_of(knowledge.narrow, weights, noise)
         first, low = min(first, below.interval[0]), np.minimum(low, below.low)
@@ -262,6 +268,33 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Re
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
     """pinv(alpha) z_0 of draws, (n, n_plane) [kg m]."""
     return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
+
+
+def most_unbalance(knowledge: Influence, weights: ComplexArray) -> FloatArray:
+    """Upper ends (n_plane,) [kg m] of |u + w| with *weights* w (n_plane,) [kg m], by runs alone and more
+    lines than planes: those of the 95 % profile interval of the unbalance u in the planes, by draws about it.
+
+    -ln p(u) = sum |z_0 - alpha u|^2 / s^2 over the lines, s^2 the variance of z_0 - alpha u, larger by what
+    no u explains. Draws of alpha would tell u too well where planes act nearly alike, since noise makes their
+    small difference larger. Equation (balance-unbalance).
+    """
+    z, alpha = knowledge.mean[:, 0], knowledge.mean[:, 1:]
+    n_line, n_plane = alpha.shape
+    deviation = np.ones(n_line)
+    for _ in range(REWEIGHTED):
+        rows = alpha / deviation[:, None]
+        middle = np.linalg.lstsq(rows, z / deviation, rcond=None)[0]
+        deviation = np.sqrt(knowledge.variance_with(np.concatenate([[1.0], -middle])))
+    rng = np.random.default_rng(SEED + 4)
+    normal = rng.standard_normal((2, DRAWS, n_plane)) / np.sqrt(rng.chisquare(TAILS, (DRAWS, 1)) / TAILS)
+    root = np.linalg.inv(np.linalg.cholesky(rows.conj().T @ rows)).conj().T
+    made = np.vstack([middle, middle + WIDER / np.sqrt(2) * (normal[0] + 1j * normal[1]) @ root.T])
+    whole = np.column_stack([np.ones(len(made)), -made])
+    variance = np.einsum("lij,di,dj->dl", knowledge.covariance, whole, whole.conj()).real
+    square = np.sum(np.abs(whole @ knowledge.mean.T) ** 2 / variance, axis=1)
+    least = float(np.min(square))
+    likely = 2 * (square - least) <= PROFILE * max(1.0, least / (n_line - n_plane))
+    return np.asarray(np.max(np.abs(made[likely] + weights), axis=0))
 
 
 def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:

@@ -375,6 +375,8 @@ def normal_equations(
 
 # Share of the cross spectrum of two forces that one delay explains where they are the same signal.
 SAME_SIGNAL = 0.7
+# Least growth of the energy of a force that begins to shake its direction.
+GROWN = 4.0
 # A first hit stands out of the noise before it by so many times its rms.
 FIRST_HIT = 20.0
 # Hits below this share of the usual one tell little.
@@ -418,13 +420,18 @@ class _Cutter:
 
 
 class PeriodCutter(_Cutter):
-    """Whole periods, the transient ones dropped at the start of each recording."""
+    """Whole periods, the transient ones dropped at the start of each recording, and where another direction
+    is shaken after several periods of one.
+    """
 
     def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
         assert settings.period is not None
         super().__init__(channels, sample_rate, samples_per_period(settings.period, sample_rate), settings)
         self._skip = self._left = settings.skip
         self._rest, self._begin = np.empty((0, len(channels))), 0
+        # Energies of the forces in the last period, and for how many the strongest has been the same.
+        self._energies: FloatArray = np.zeros(len(self._forces))
+        self._alike = 0
         # The first force of each direction, and what turns those of the present recording to its phases.
         self._first: dict[int, ComplexArray] = {}
         self._turns: dict[int, ComplexArray] = {}
@@ -440,13 +447,25 @@ class PeriodCutter(_Cutter):
         while self._rest.shape[0] >= self.n_sample:
             period, start = self._rest[: self.n_sample], self._begin
             self._rest, self._begin = self._rest[self.n_sample :], self._begin + self.n_sample
+            moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
+            if self._turned(np.sum(moved[:, self._forces] ** 2, axis=0)):
+                self._left = self._skip
             if self._left:
                 self._left -= 1
                 continue
             self._number += 1
-            moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
             average = self._average(start, period, np.max(np.abs(moved), axis=0), moved, "")
             yield replace(average, amplitude=average.amplitude * self._turn(average)[:, None])
+
+    def _turned(self, energies: FloatArray) -> bool:
+        """Whether another force than in several periods before is the strongest now, and grew to be it; by
+        their *energies* (n_force,) [squared SI].
+        """
+        strongest = int(np.argmax(energies))
+        same = strongest == int(np.argmax(self._energies))
+        turned = self._alike > 1 and not same and energies[strongest] > GROWN * self._energies[strongest]
+        self._energies, self._alike = energies, self._alike + 1 if same else 1
+        return bool(turned)
 
     def _turn(self, average: Average) -> ComplexArray:
         """What turns a period to the phases that the force of its direction had first, (n_line,) [1]: a

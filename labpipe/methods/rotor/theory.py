@@ -30,6 +30,8 @@ MOST_MODES = 8
 # of a speed over which they end: there the peak is without damping.
 HALF_POWER = np.sqrt(0.5)
 FINE, CLOSER, SHARPEST = 1500, 201, 1e-8
+# Speeds between two of them at which a top and half-power points are looked at.
+BETWEEN = 9
 # From speeds (n,) [Hz] to amplitudes (n,) [m].
 AmplitudeAt = Callable[[FloatArray], FloatArray]
 # Amplitudes [m] below which a point is at rest: what they are to the power of -2 is still a number.
@@ -272,8 +274,8 @@ def peaks(
     speed: FloatArray, amplitude: FloatArray, node: int = 0, finer: AmplitudeAt | None = None
 ) -> list[Critical]:
     """Peaks of a response *amplitude* (n,) [m] over *speed* (n,) [Hz] with their half-power speeds; none of a
-    point at rest, be it but for rounding. What is sharper than the speeds tell is looked at at others, with
-    *finer*.
+    point at rest, be it but for rounding. With *finer* the top and the half-power points are looked at at
+    speeds between, and what is sharper than the speeds tell at others.
     """
     places = np.flatnonzero((amplitude[1:-1] > amplitude[:-2]) & (amplitude[1:-1] >= amplitude[2:])) + 1
     if np.min(amplitude) < AT_REST or places.size > ROUNDED * speed.size:
@@ -282,7 +284,10 @@ def peaks(
     criticals = []
     for n in places.tolist():
         least = scipy.optimize.minimize_scalar(
-            curve, bounds=(speed[n - 1], speed[n + 1]), method="bounded", options={"xatol": 1e-9 * speed[n]}
+            _closely(curve, finer, speed[n - 1], speed[n + 1]),
+            bounds=(speed[n - 1], speed[n + 1]),
+            method="bounded",
+            options={"xatol": 1e-9 * speed[n]},
         )
         if least.fun <= 0 or amplitude[n] < HALF_POWER * least.fun**-0.5:
             near = speed[max(n - 2, 0) : n + 3]
@@ -296,13 +301,24 @@ def peaks(
         beyond = amplitude < HALF_POWER * height
         below, above = np.flatnonzero(beyond[:n]), np.flatnonzero(beyond[n:])
         low = high = None
-        crossing = scipy.interpolate.CubicSpline(speed, amplitude**-2.0 - 2 * float(least.fun))
         if below.size:
-            low = float(scipy.optimize.brentq(crossing, speed[below[-1]], speed[below[-1] + 1]))
+            low = _half_power(curve, finer, speed[below[-1] :][:2], float(least.fun))
         if above.size:
-            high = float(scipy.optimize.brentq(crossing, speed[n + above[0] - 1], speed[n + above[0]]))
+            high = _half_power(curve, finer, speed[n + above[0] - 1 :][:2], float(least.fun))
         criticals.append(Critical(top, height, node, low, high))
     return criticals
+
+
+def _closely(curve: AmplitudeAt, finer: AmplitudeAt | None, low: float, high: float) -> AmplitudeAt:
+    """1 / amplitude^2 [1/m^2] between two speeds [Hz]: by that of all, or by more of them."""
+    between = np.linspace(low, high, BETWEEN)
+    return curve if finer is None else scipy.interpolate.CubicSpline(between, finer(between) ** -2.0)
+
+
+def _half_power(curve: AmplitudeAt, finer: AmplitudeAt | None, ends: FloatArray, least: float) -> float:
+    """Where 1 / amplitude^2 is twice the *least* [1/m^2], between *ends* (2,) [Hz]."""
+    near = _closely(curve, finer, *ends)
+    return float(scipy.optimize.brentq(lambda speed: float(near(speed)) - 2 * least, *ends))
 
 
 # Logarithmic decrement that API 617 level I asks for at the operating speed.

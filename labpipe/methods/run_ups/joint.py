@@ -4,7 +4,7 @@ Omega_meas) / s)^2 + sum (p / spread)^2, r the residual of the responses over th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -20,7 +20,7 @@ from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups import rotor
-from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, sources_of
+from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, shared_noise, sources_of
 from labpipe.methods.run_ups.records import OUTSIDE, RunUp
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
@@ -137,6 +137,19 @@ class RunUpFit(Posterior[Family]):
     @property
     def sources(self) -> tuple[Uncertainty, ...]:
         return sources_of(self.groups)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """V + V E V of all parameters (n_parameter, n_parameter) [1], E the `shared_noise` of the runs."""
+        covariance = super().covariance
+        return covariance + covariance @ shared_noise(self._by_baselines(), len(covariance)) @ covariance
+
+    def _by_baselines(self) -> Iterator[tuple[RunUp, FloatArray]]:
+        for group in self.groups:
+            eight, by_parameter = self.with_slopes(group.load, group.speed)
+            for excited in (excited for excited in group.runs if excited.run.baseline is not None):
+                slopes = excited.residual_and_slopes(eight)[1] @ by_parameter
+                yield from ((excited.run, part) for part in excited.by_baseline(slopes))
 
     @cached_property
     def changes(self) -> FloatArray:

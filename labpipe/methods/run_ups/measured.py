@@ -257,10 +257,12 @@ def _by_speed(
     return middle, means, np.asarray(total**-0.5)
 
 
-def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
+def difference(
+    run: records.RunUp, residual: records.RunUp, baseline: records.RunUp | None = None
+) -> records.RunUp:
     """*run* - *residual* at common speeds, the response to the difference of their known unbalances,
-    variances resolved along and across it. DataError where planes or loads differ, a shaker acts, or no speed
-    is common. Equation (run-difference).
+    variances resolved along and across it; *baseline*: a residual run that is read between its speeds.
+    DataError where planes or loads differ, a shaker acts, or no speed is common. Equation (run-difference).
     """
     if run.planes != residual.planes:
         hint = "subtract runs of one rig"
@@ -276,7 +278,8 @@ def difference(run: records.RunUp, residual: records.RunUp) -> records.RunUp:
     if common.size == 0:
         hint = "measure them at the same speeds"
         raise DataError(f"runs '{run.name}' and '{residual.name}' share no speed", hint=hint)
-    return _vector_difference(run, residual, common, partner[common])
+    net = _vector_difference(run, residual, common, partner[common])
+    return replace(net, baseline=baseline or residual)
 
 
 def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
@@ -297,7 +300,7 @@ def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
 def added_since(residual: records.RunUp, run: records.RunUp) -> records.RunUp:
     """What a recorded *run* with weights adds to its *residual* run without; DataError as `difference`."""
     weightless = replace(residual, unbalance=dict.fromkeys(run.unbalance, 0j))
-    return difference(run, at_speeds(weightless, run.speed))
+    return difference(run, at_speeds(weightless, run.speed), weightless)
 
 
 def _vector_difference(

@@ -19,7 +19,7 @@ from labpipe.methods.run_ups.amplitudes import AmplitudeFit, SpeedwiseFit, fit_a
 from labpipe.methods.run_ups.joint import EXPONENTS, JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import column, motions
 from labpipe.methods.run_ups.metamodel_kinds import SAME_LOAD, Queried
-from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, sources_of
+from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load, scales, shared_noise, sources_of
 from labpipe.methods.run_ups.process import ProcessFit, fit_with_process
 from labpipe.methods.run_ups.rotor import PARAMETERS, RPM, RunUpRotor, as_eight
 from labpipe.methods.run_ups.settings import RunUpSettings
@@ -152,21 +152,28 @@ def _fit_load(rig: RunUpRotor, group: LoadRuns, bound: float, ridge: float) -> P
     start = as_eight(*rig.start_coefficients(group.load, group.speed))
     unit = scales(start)
     parts = _descend(group, start, unit, bound, ridge)
-    residual, slopes = group.residual_and_slopes(start + unit * parts)
+    eight = start + unit * parts
+    residual, slopes = group.residual_and_slopes(eight)
     slopes = slopes * unit[:, None, :]
     at_bound = np.abs(parts) >= bound
     free = slopes * ~at_bound[:, None, :]
     covariance = np.linalg.inv(_normal(free) + np.eye(8) / ridge**2)
+    less_baselines = (
+        (run.run, run.by_baseline(run.residual_and_slopes(eight)[1] * (unit * ~at_bound)[:, None]))
+        for run in group.runs
+        if run.run.baseline is not None
+    )
+    noise = covariance + covariance @ shared_noise(less_baselines, len(unit[0])) @ covariance
     of_probes = np.zeros_like(start)
     for change in group.residual_changes([source.source for source in sources_of([group])]):
         of_probes += np.einsum("nij,nkj,nk->ni", covariance, free, change) ** 2
-    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) + of_probes) * unit
+    deviation = np.sqrt(np.diagonal(noise, axis1=1, axis2=2) + of_probes) * unit
     rank, condition = rank_of(slopes)
     return PointFit(
         load=group.load,
         speed=group.speed,
         start=start,
-        coefficients=start + unit * parts,
+        coefficients=eight,
         std_error=np.where(at_bound, np.nan, deviation),
         at_bound=at_bound,
         rank=rank,

@@ -52,6 +52,23 @@ class ExcitedRun:
         rows = [self._weight(-changes.get(source, none).reshape(self.run.n_speed, -1)) for source in sources]
         return np.array(rows).reshape(len(sources), self.run.n_speed, self.n_equation)
 
+    def by_baseline(self, slopes: FloatArray) -> FloatArray:
+        """J^T dr (n_speed, n_reading, n_parameter) [1/parameter unit] by one standard error of each reading
+        of the baseline, along and across it, between two in their shares; *slopes* J (n_speed, n_equation,
+        n_parameter) [1/parameter unit].
+        """
+        base = self.run.baseline
+        assert base is not None
+        shares = [np.interp(self.run.speed, base.speed, reading) for reading in np.eye(base.n_speed)]
+        unit = base.response / np.abs(base.response)
+        errors = np.array([unit * base.amplitude_error, 1j * base.response * base.phase_error])
+        change = np.array(shares)[..., None] * errors.reshape(2, base.n_speed, 1, -1)
+        # Every output by itself: its two equations are apart.
+        n_speed, n_output = self._measured.shape
+        weighted = self._weight(change).reshape(2, -1, n_speed, 2, n_output)
+        by = slopes.reshape(n_speed, 2, n_output, -1)
+        return np.einsum("prnco,ncof->nprof", weighted, by).reshape(n_speed, -1, by.shape[-1])
+
     @property
     def _measured(self) -> ComplexArray:
         return self.run.response.reshape(self.run.n_speed, -1)
@@ -97,6 +114,21 @@ def sources_of(groups: Iterable[LoadRuns]) -> tuple[Uncertainty, ...]:
     for error in (error for group in groups for run in group.runs for error in run.run.uncertainties):
         uncertainties.setdefault(error.uncertainty.source, error.uncertainty)
     return tuple(uncertainties.values())
+
+
+def shared_noise(parts: Iterable[tuple[RunUp, FloatArray]], n_parameter: int) -> FloatArray:
+    """What J^T J (..., n_parameter, n_parameter) [1/parameter units] of runs less one baseline lacks: its
+    noise is the same in all of them, and weights count it as anew in each. *parts*: a run, and of it J^T dr
+    of `by_baseline`. Equation (run-baseline).
+    """
+    excess = np.zeros((n_parameter, n_parameter))
+    sums: dict[bytes, FloatArray] = {}
+    for run, part in parts:
+        assert run.baseline is not None
+        key = run.baseline.response.tobytes()
+        sums[key] = sums.get(key, np.zeros_like(part)) + part
+        excess = excess - part.swapaxes(-1, -2) @ part
+    return excess + sum(part.swapaxes(-1, -2) @ part for part in sums.values())
 
 
 def runs_by_load(rig: RunUpRotor, runs: Iterable[RunUp]) -> list[LoadRuns]:

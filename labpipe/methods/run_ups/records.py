@@ -49,7 +49,8 @@ class RunUp:
     x(t) = Re(X exp(j w t)), w the frequency of the excitation; amplitude_error [m] and phase_error [rad],
     like response: standard errors. unbalance [kg m] by plane, complex with its angle from x at time zero;
     shaker: what excited the rotor instead; threshold [rad/s]: of instability, where it was measured.
-    uncertainties: of the probes' calibration. DataError where these do not fit together.
+    uncertainties: of the probes' calibration; baseline: the run that was subtracted, at its own speeds, whose
+    noise all runs less it have in common. DataError where these do not fit together.
     """
 
     name: str
@@ -64,6 +65,7 @@ class RunUp:
     shaker: Shaker | None = None
     threshold: Uncertain | None = None
     uncertainties: tuple[ProbeError, ...] = ()
+    baseline: RunUp | None = None
 
     def __post_init__(self) -> None:
         n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import amount_text, chance_text
+from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation import diagnostics
 from labpipe.estimation.budget import Source, with_sources
@@ -107,6 +109,8 @@ ALIKE = 1e-3
 # Rounds that estimate the residual's standard deviation; one without a prior, since no minimum moves then.
 SIZINGS = 2
 REGION_LEVEL = 0.95
+# Share of a prior's variance below which the lines say nothing of it, and the chance of what contradicts it.
+SAYS_NOTHING, CONTRADICTED_P = 1e-3, 1e-3
 NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 
@@ -157,8 +161,42 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         curve=_curve(measured, solved),
         details=_region(solved, parameters),
     )
+    sources = _sources(solved, measured, wear, len(parameters))
+    mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < diagnostics.MISMATCH_P
+    if solved.misfit.n_prior and not mismatch:
+        fit = replace(fit, findings=(*fit.findings, *_prior_findings(solved, sources, wear)))
     fit, of_prior = _without_prior(fit, solved, wear)
-    return with_sources(fit, [*of_prior, *_sources(solved, measured, wear, len(parameters))])
+    return with_sources(fit, [*of_prior, *sources])
+
+
+def _prior_findings(solved: _Solved, sources: Sequence[Source], wear: WearSettings) -> list[Finding]:
+    """Where the lines contradict the prior: its rows d = R (p - p_0) vary by 1 - R C R^T, of what the lines
+    tell, and by the change of each of the *sources*.
+    """
+    misfit, model, n = solved.misfit, solved.misfit.model, solved.misfit.n_prior
+    parameters, prior = solved.best.parameters, model.prior
+    rows, off = (of(parameters)[-n:] for of in (misfit.jacobian, misfit.residual))
+    moved = np.array([rows @ (change[: parameters.size] / model.scale) for _, change in sources])
+    spread = np.eye(n) - rows @ solved.covariance @ rows.T + moved.reshape(-1, n).T @ moved.reshape(-1, n)
+    sizes, axes = np.linalg.eigh(spread)
+    told = sizes > SAYS_NOTHING
+    chance = chi2_tail(float(np.sum((off @ axes)[told] ** 2 / sizes[told])), int(np.sum(told)))
+    if chance >= CONTRADICTED_P:
+        return []
+    # The parameter that went farthest of what the lines may move it.
+    root = np.linalg.inv(rows[:, -n:])
+    shift, error = root @ off, np.sqrt(np.diag(root @ spread @ root.T))
+    worst = int(np.argmax(np.abs(shift) / error))
+    mean, unit = prior.mean[worst], UNITS[prior.names[worst]]
+    found = mean + float(shift[worst] * model.scale[-n:][worst])
+    stated = amount_text(mean, float(prior.std[worst]), unit, "+-")
+    of = f"the fit '{wear.prior}'" if wear.prior else "what was stated"
+    message = (
+        f"the lines contradict {of} ({chance_text(chance)}), most of all {prior.names[worst]} {stated}: both "
+        f"together give {amount_text(found, None, unit)}, which may be neither. The wear, the oil or the rig "
+        "is another one than then, or what was stated is known worse"
+    )
+    return [Finding("stated-value", message)]
 
 
 def _without_prior(fit: Fit, solved: _Solved, wear: WearSettings) -> tuple[Fit, list[Source]]:

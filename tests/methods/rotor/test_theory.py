@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from labpipe.methods.rotor.response import Modes, eigenvalues
 from labpipe.methods.rotor.rotor_file import load_rotor
@@ -207,3 +208,29 @@ def test_faults_of_speeds_are_said(labpipe):
     ):
         ended = labpipe("rotor", LAVAL, "--speeds", speeds)
         assert ended.code == 2 and words in ended.err
+
+
+def test_a_peak_beside_a_dip_lies_where_the_response_is_largest():
+    """Two modes whose responses cancel between them, on speeds half a per cent apart: top and half-power
+    points are those of scipy's search on the response itself.
+    """
+
+    def amplitude(speed):
+        modes = ((1.0, 41.0, 0.02), (0.9, 43.5, 0.004))
+        return np.abs(sum(m * speed**2 / (f**2 - speed**2 + 2j * z * f * speed) for m, f, z in modes))
+
+    def shortfall(speed):
+        return -float(amplitude(speed))
+
+    grid = np.geomspace(30.0, 60.0, int(np.log(2) / 0.005))
+    found = peaks(grid, amplitude(grid), 0, amplitude)
+    assert len(found) == 2
+    for peak, bounds in zip(found, ((40.0, 42.0), (43.2, 43.8)), strict=True):
+        top = optimize.minimize_scalar(shortfall, bounds=bounds, method="bounded", options={"xatol": 1e-10})
+        assert peak.speed == pytest.approx(top.x, rel=1e-6) and peak.amplitude == pytest.approx(
+            -top.fun, rel=1e-5
+        )
+        for end, side in ((peak.low, -3.0), (peak.high, 0.8)):
+            level = -top.fun / np.sqrt(2)
+            exact = optimize.brentq(lambda speed, level=level: amplitude(speed) - level, top.x, top.x + side)
+            assert end == pytest.approx(exact, rel=1e-5)

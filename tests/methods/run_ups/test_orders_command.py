@@ -24,14 +24,14 @@ FORWARD, BACKWARD = 30.0 * np.exp(0.4j), 10.0 * np.exp(-1.1j)
 def project(tmp_path: Path) -> Path:
     """A run-up from 20 to 40 Hz in 20 s with a constant elliptic orbit, um.
 
-    A pulse at every whole revolution.
+    A pulse at every whole revolution, whose flanks are several samples long: their times are known to less.
     """
     t = np.arange(40_000) / 2000
     revolutions = 20 * t + 0.5 * t**2
     turn = np.exp(2j * np.pi * revolutions)
     x, y = np.real((FORWARD + BACKWARD) * turn), np.real((-1j * FORWARD + 1j * BACKWARD) * turn)
     noise = np.random.default_rng(1).normal(size=(2, t.size)) * 0.5
-    pulse = np.where(revolutions % 1.0 < 0.3, 5.0, 0.0)
+    pulse = np.clip(2.5 + 5 * np.sin(2 * np.pi * revolutions), 0.0, 5.0)
     table = np.column_stack([x + noise[0], y + noise[1], pulse])
     np.savetxt(
         tmp_path / "run.csv", table, delimiter=",", header="x [um],y [um],tacho [V]", comments="", fmt="%.6g"

@@ -6,13 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from labpipe.errors import DataError
-from labpipe.methods.run_ups.measured import at_speeds, difference, run_up_of
+from labpipe.methods.run_ups.joint import fit_jointly
+from labpipe.methods.run_ups.measured import added_since, at_speeds, difference, run_up_of
+from labpipe.methods.run_ups.methods import fit_points
+from labpipe.methods.run_ups.misfit import ExcitedRun, scales, shared_noise
 from labpipe.methods.run_ups.records import RunUp, Shaker
+from labpipe.methods.run_ups.rotor import PRIOR, as_eight
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.orders import cascade_spectra, track_order
 from labpipe.spectra.settings import ShaftLines
+from tests.methods.run_ups.run_up_cases import RIG, trained
 
 RATE = 2000.0
 LINES = ShaftLines(tacho="tacho", harmonics=2)
@@ -62,13 +68,38 @@ def test_a_sweep_gives_its_phasors_in_x_and_y(turned: float) -> None:
 
 
 def test_stated_errors_are_those_of_the_noise(rng: np.random.Generator) -> None:
-    """4 s^2 / n samples is E|dX|^2; half of it falls on the amplitude, half across."""
-    run = run_up_of(track_order(sweep(rng=rng), LINES), (), "sweep", 5.0, {"disc 1": 1e-5 + 0j})
+    """4 s^2 / n samples is E|dX|^2; half of it falls on the amplitude, half across. The tacho is a sine,
+    whose rise is known between samples.
+    """
+    plain, time = sweep(rng=rng), np.arange(60_000) / RATE
+    turning = np.sin(2 * np.pi * (10 * time + 15 * time**2 / 30))
+    recording = replace(plain, samples=np.column_stack([plain.samples[:, :2], turning]))
+    run = run_up_of(track_order(recording, LINES), (), "sweep", 5.0, {"disc 1": 1e-5 + 0j})
     stretch = 20 * RATE / (run.speed / (2 * np.pi))
     np.testing.assert_allclose(run.amplitude_error[:, 0, 0], 1e-6 * np.sqrt(2 / stretch), rtol=0.15)
     np.testing.assert_allclose(run.phase_error, run.amplitude_error / np.abs(run.response))
     scatter = np.abs(run.response[:, 0, 0]) - abs(X)
     assert 0.5 < np.std(scatter / run.amplitude_error[:, 0, 0]) < 3.0
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_noise_at_the_order_counts_where_it_is_more_than_elsewhere(late: bool) -> None:
+    """Noise of low frequencies, first order with a pole of 0.95, or pulses of a tacho that are known to a
+    sample: the stated errors against those of eight records of the known phasors.
+    """
+    errors = []
+    for draw in range(8):
+        rng, plain = np.random.default_rng(draw), sweep()
+        time = np.arange(60_000) / RATE
+        revolutions = 10 * time + 15 * time**2 / 30
+        white = rng.standard_normal((60_000, 2))
+        noise = white if late else signal.lfilter([np.sqrt(1 - 0.95**2)], [1, -0.95], white, axis=0)
+        tacho = np.where(revolutions % 1 < 0.5, 5.0, 0.0) if late else np.sin(2 * np.pi * revolutions)
+        samples = np.column_stack([plain.samples[:, :2] + 3e-7 * noise, tacho])
+        track = track_order(replace(plain, samples=samples), LINES)
+        errors.append((track.amplitude - np.array([X, Y])) / np.sqrt(track.variance / 2))
+    scatter = np.sqrt(np.mean(np.abs(np.array(errors)) ** 2) / 2)
+    assert 0.85 < scatter < (1.6 if late else 1.15)
 
 
 def test_a_steady_recording_is_no_run_up() -> None:
@@ -188,3 +219,52 @@ def test_a_cascade_has_its_peaks_on_the_shaft_line() -> None:
     np.testing.assert_allclose(found.amplitude[:, :, 0].max(axis=1), abs(X), rtol=0.16)
     with pytest.raises(DataError, match=r"shorter than two blocks of 0\.5 s"):
         cascade_spectra(sweep(0.6), LINES, resolution=2.0)
+
+
+def test_runs_less_one_baseline_share_its_noise() -> None:
+    """A closed form: of n equal runs less one run, all of one noise, the mean has (1 + 1/n) of its variance
+    and not 2/n, so that V becomes V + V (n - 1)/2 (V^-1 - P) V beside priors of information P.
+    """
+    n, source = 4, trained("inside")[1]
+    error = np.full(source.response.shape, 3e-7)
+    before = replace(
+        source,
+        response=np.roll(0.3j * source.response, 1, axis=0),
+        unbalance={"disc 1": 0j},
+        amplitude_error=error,
+        phase_error=error / np.abs(np.roll(0.3 * source.response, 1, axis=0)),
+    )
+    both = source.response + before.response
+    after = replace(source, response=both, amplitude_error=error, phase_error=error / np.abs(both))
+    runs = [replace(difference(after, before), name=f"run {number}") for number in range(n)]
+    alone = [replace(run, baseline=None) for run in runs]
+    fit, plain = fit_jointly(RIG, runs, use_thresholds=False), fit_jointly(RIG, alone, use_thresholds=False)
+    np.testing.assert_allclose(fit.values, plain.values, rtol=1e-12)
+    v = plain.covariance
+    by_data = np.eye(PRIOR.size) - v / PRIOR**2
+    np.testing.assert_allclose(fit.covariance, v + (n - 1) / 2 * by_data @ v, rtol=1e-6, atol=1e-9 * v.max())
+    one, of_itself = (fit_jointly(RIG, some[:1], use_thresholds=False) for some in (runs, alone))
+    np.testing.assert_allclose(one.covariance, of_itself.covariance, rtol=1e-9)
+    start = RIG.start_coefficients(source.load, source.speed)
+    points, unit = fit_points(RIG, runs, bound=0.9)[0], scales(as_eight(*start))
+    slopes = fit.groups[0].residual_and_slopes(points.coefficients)[1] * unit[:, None]
+    v = np.linalg.inv(slopes.swapaxes(1, 2) @ slopes + np.eye(8) / 0.15**2)
+    shared = v + (n - 1) / 2 * (v - v @ v / 0.15**2)
+    expected = np.sqrt(np.diagonal(shared, axis1=1, axis2=2)) * unit
+    np.testing.assert_allclose(points.std_error, expected, rtol=1e-6)
+
+
+def test_a_baseline_read_between_its_speeds_is_shared_in_parts() -> None:
+    """Two runs at speeds a quarter and a half between two readings of the run that both subtract: their
+    errors have the covariance .75 x .5 + .25 x .5 of its variance, by hand.
+    """
+    residual = run(SPEED, phasors(2e-5, 2e-5), {"disc 1": 0j})
+    parts = []
+    for speed in (102.5, 105.0):
+        moved = run(np.array([speed]), phasors(5e-5, 5e-5)[:1], {"disc 1": 5e-5 + 0j})
+        net = added_since(residual, moved)
+        excited = ExcitedRun(net, RIG.condensed(net.speed, {}))
+        slopes = np.zeros((1, excited.n_equation, 1))
+        slopes[0, 0] = net.amplitude_error[0, 0, 0]
+        parts.append((net, excited.by_baseline(slopes)[0]))
+    assert shared_noise(parts, 1)[0, 0] == pytest.approx(2 * (0.75 * 0.5 + 0.25 * 0.5) * 1e-7**2)

@@ -31,6 +31,7 @@ from tests.methods.wear.worn_cases import (
     measured,
     misfit_of,
     wear_settings,
+    without_region,
     worn_rig,
 )
 
@@ -239,6 +240,20 @@ def test_what_a_tuning_found_sharpens_the_wear() -> None:
     assert (
         abs(carried.parameter("wear_depth").value - 22.27e-6) < 3 * carried.parameter("wear_depth").std_error
     )
+
+
+@pytest.mark.parametrize("off", [0.0, 3.7])
+def test_lines_that_contradict_what_was_stated_are_named(off: float) -> None:
+    """Oil and clearance as stated, or each 3.7 stated standard errors off, which precise lines see and the
+    fit can follow: two squares of 13.7 have a probability of 1e-6.
+    """
+    bearing = {"viscosity": 0.1044 + off * 0.003, "clearance": 90e-6 - off * 1.8e-6}
+    response = measured(worn_rig(22.27, 11.0, **bearing), 0.005, np.random.default_rng(5), BAND)
+    with without_region():
+        fit = fitted(fit_settings(**NUISANCES), response)
+    named = [finding.message for finding in fit.findings if finding.code == "stated-value"]
+    assert len(named) == (off > 0) and fit.gof.chi2_p is not None and fit.gof.chi2_p > 0.01
+    assert not off or "contradict what was stated (p = " in named[0]
 
 
 def test_priors_that_are_not_there(joint: Fit) -> None:
