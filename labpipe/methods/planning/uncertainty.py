@@ -1,9 +1,10 @@
 """What is expected of a rig, and predicted uncertainty budgets: a planned test rehearsed, and what
 systematic sources add to its noise.
 
-Channel c has in period p of P, beside its signal, a_c exp(2 pi j c p / P) on every line. Over the periods
-these have the mean zero and are orthogonal to each other, so that the average is what the rig does, and its
-covariance by the scatter, a_c^2 / (P - 1), that of white noise in every sensor.
+Channel c has in period p of P, beside its signal, a_c / sqrt(P - 1) sum_m exp(2 pi j (m p / P + m c / (P -
+1))) on every line, m from 1 to P - 1. Over the periods these have the mean zero and are orthogonal to each
+other, so that the average is what the rig does, and its covariance by the scatter, a_c^2 / (P - 1), that of
+white noise in every sensor; and all m are alike, as of noise that does not go on from period to period.
 """
 
 from __future__ import annotations
@@ -279,12 +280,15 @@ def rehearse(
     n_sample = fft.next_fast_len(int(SAMPLES * highest) + 8, real=True)
     densities = np.array([getattr(rig.noise, channel.quantity) for channel in channels])
     size = densities * np.sqrt(2 / seconds * (n_period - 1))
-    number = np.arange(1, n_channel + 1)
+    turns = np.arange(1, n_period)
+    courses = np.exp(2j * np.pi / n_period * np.outer(np.arange(n_period), turns)) @ np.exp(
+        2j * np.pi / (n_period - 1) * np.outer(turns, np.arange(n_channel))
+    )
     periods = []
-    for period in range(n_period):
+    for course in courses / np.sqrt(n_period - 1):
         spectrum = np.zeros((n_sample // 2 + 1, n_channel), complex)
         spectrum[test.lines] = mean
-        spectrum[1 : (n_sample + 1) // 2] += size * np.exp(2j * np.pi * number * period / n_period)
+        spectrum[1 : (n_sample + 1) // 2] += size * course
         periods.append(fft.irfft(spectrum * (n_sample / 2), n_sample, axis=0))
     samples = np.concatenate([periods[0]] * skip + periods)
     return Recording(tuple(channels), samples, n_sample * rig.spacing, test.name)
