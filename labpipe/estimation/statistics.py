@@ -64,14 +64,31 @@ def student_limit(dof: int) -> float:
     return student_quantile(0.975, max(dof, 1))
 
 
-def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None) -> Parameter:
+def estimated(
+    name: str,
+    unit: str,
+    value: float,
+    std_error: float,
+    dof: int,
+    vif: float | None,
+    *,
+    derived: bool = False,
+) -> Parameter:
     """An estimated parameter with t-ratio, 95 % interval and significance. Equation (est-interval)."""
     if not np.isfinite(std_error):
-        return Parameter(name, value, unit, vif=vif)
+        return Parameter(name, value, unit, vif=vif, derived=derived)
     reach = student_limit(dof) * std_error
-    ratio = value / std_error if std_error > 0 else None
-    plain = Parameter(name, value, unit, std_error=std_error, t_ratio=ratio, vif=vif)
-    return replace(plain, ci95=(value - reach, value + reach), significant=abs(value) > reach)
+    return Parameter(
+        name,
+        value,
+        unit,
+        std_error=std_error,
+        t_ratio=value / std_error if std_error > 0 else None,
+        ci95=(value - reach, value + reach),
+        significant=abs(value) > reach,
+        vif=vif,
+        derived=derived,
+    )
 
 
 def widen(parameter: Parameter, factor: float) -> Parameter:
