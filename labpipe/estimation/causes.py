@@ -321,7 +321,7 @@ def least_squares_at_delays(measured: Measured, model: DynamicModel, delays: Flo
     turned = (np.exp(-1j * np.outer(delays, measured.omega)) @ (terms * force).T).real
     scale, triangle, _ = scaled_triangle(equation.rows.T)
     values = np.linalg.solve(triangle, np.linalg.solve(triangle.T, ((still + turned) / scale).T))
-    return np.asarray(values.T / scale)
+    return values.T / scale
 
 
 def delays_of_grid(highest: float) -> FloatArray:
@@ -488,7 +488,7 @@ def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_
 def _basis(shapes: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(shapes, axis=1)
     _, singular, rows = np.linalg.svd(shapes[lengths > 0] / lengths[lengths > 0, None], full_matrices=False)
-    return np.asarray(rows[singular > SAME_SHAPE * singular[0]])
+    return rows[singular > SAME_SHAPE * singular[0]]
 
 
 def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chance | None:

@@ -310,9 +310,8 @@ def reported_parameters(
     coefficients = []
     for number, (name, place) in enumerate(zip(reported.names, places, strict=False)):
         value, error, dof = reported.value(name), reported.std_error(name), int(estimate.student_dof[place])
-        of_place = value, error, dof, float(vifs[place])
-        is_tied = number >= vifs.size
-        coefficients.append(statistics.estimated(name, reported.units[number], *of_place, derived=is_tied))
+        of_place = value, error, dof, float(vifs[place]), number >= vifs.size
+        coefficients.append(statistics.estimated(name, reported.units[number], *of_place))
     derived = derived_parameters(total, every, model, setup, int(estimate.student_dof.min()))
     given = [
         Parameter(name + end, of.value(name), COEFFICIENT_UNITS[name[0]], derived=True)

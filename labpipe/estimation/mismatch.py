@@ -363,7 +363,7 @@ def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
     ratio = np.sqrt(np.maximum(np.diag(least) / np.maximum(np.diag(covariance), np.finfo(float).tiny), 1.0))
-    return np.asarray(covariance * np.outer(ratio, ratio))
+    return covariance * np.outer(ratio, ratio)
 
 
 def _growth(estimate: Estimate, covariance: FloatArray) -> str:

@@ -129,8 +129,8 @@ class ActingTerms:
             return elements
         if self.single is not None:
             factors = self.matrices[self.single, np.arange(self.single.size)]
-            return np.asarray(elements[..., self.single] * factors)
-        return np.asarray(elements @ self.matrices)
+            return elements[..., self.single] * factors
+        return elements @ self.matrices
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
     by_slopes = np.sum(influence, axis=0) ** 2 / np.sum(influence**2, axis=0)
     fourth = np.sum(squares**2, axis=0)
     by_shares = np.divide(3 * np.sum(squares, axis=0) ** 2, fourth, out=by_slopes.copy(), where=fourth > 0)
-    return np.asarray(np.minimum(by_slopes, by_shares))
+    return np.minimum(by_slopes, by_shares)
 
 
 # Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.
@@ -178,12 +178,12 @@ def _levels(errors: ComplexArray, size: FloatArray, kind: str) -> FloatArray:
         half = max(LAGS, round(NEIGHBOURHOOD * len(power) / 2))
         centre = np.arange(len(power)) - 1
         low, high = np.clip(centre - half, 0, None), np.clip(centre + half + 1, None, len(second))
-        return np.asarray(np.sqrt((sums[high] - sums[low]) / (high - low)[:, None]))
+        return np.sqrt((sums[high] - sums[low]) / (high - low)[:, None])
     square = size**2 / np.mean(size**2, axis=0)
     spread = np.mean((square - 1) ** 2, axis=0)
     together = np.mean((square - 1) * power, axis=0)
     slope = np.divide(together, spread, out=np.zeros_like(spread), where=spread > 0)
-    return np.asarray(np.sqrt(mean + np.clip(slope, 0.0, mean) * (square - 1)))
+    return np.sqrt(mean + np.clip(slope, 0.0, mean) * (square - 1))
 
 
 def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) -> FloatArray:
@@ -213,7 +213,7 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
 
 
 def _square(values: ComplexArray) -> FloatArray:
-    return np.asarray(values.real**2 + values.imag**2)
+    return values.real**2 + values.imag**2
 
 
 def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:

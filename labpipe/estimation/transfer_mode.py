@@ -101,7 +101,7 @@ class DrivingMode(TransferMode):
 
 def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
     w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
-    return np.asarray(w_n**2 - omega**2 + 2j * zeta * w_n * omega)
+    return w_n**2 - omega**2 + 2j * zeta * w_n * omega
 
 
 def is_transfer(output: Port, force: Port) -> bool:

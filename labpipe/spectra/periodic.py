@@ -263,7 +263,7 @@ class Distortion:
         """sqrt(total^2 - noise^2), (n_frequency, n_output, n_input) [unit of the FRF]; least 0. Equation
         (frf-distortion).
         """
-        return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
+        return np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0))
 
 
 def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
