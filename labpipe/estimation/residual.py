@@ -91,8 +91,8 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
 DRAWS, FEWEST_DRAWS = 1999, 599
 # Complex values in all draws together, and beyond which there is no test.
 VALUES, MOST_VALUES = 2_000_000, 20_000_000
-# Complex values of draws that are looked at together: they stay in the processor's cache.
-AT_ONCE = 16_000
+# Values of draws that are looked at together: they stay in the processor's cache.
+AT_ONCE = 32_000
 LAGS = 8
 WIDTHS = (3, 6, 12)
 DEGREE = 3
@@ -154,10 +154,9 @@ def residual_structure(
     # Orthonormal polynomials of the line number.
     curves = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, n_line), DEGREE)
     smooth = np.linalg.qr(curves)[0]
-    at_once = max(AT_ONCE // errors.size, 1)
     statistics = []
-    for first in range(0, n_draw, at_once):
-        drawn = rows * noise[:, first : first + at_once]
+    for part in np.array_split(noise, 1 + noise.size // AT_ONCE, axis=1):
+        drawn = rows * part
         drawn -= basis @ (basis.T @ drawn)
         statistics.append(_statistics(complex_rows(drawn, n_line), size, smooth))
     observed = _statistics(errors[:, :, None], size, smooth)[0]
@@ -209,7 +208,7 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
     weight = size**2 / np.mean(size**2, axis=0)
     grown = _square(scaled).reshape(len(scaled), -1) @ weight.T.reshape(-1)
     curved = _square(scaled @ smooth).sum(axis=(1, 2))
-    return np.stack([alike, np.max(moving, axis=0), grown, curved], axis=-1)
+    return np.column_stack([alike, np.max(moving, axis=0), grown, curved])
 
 
 def _square(values: ComplexArray) -> FloatArray:
@@ -222,7 +221,7 @@ def _least_p(observed: FloatArray, draws: FloatArray) -> Structure:
     # Of several beyond all draws the one that is furthest.
     best = int(np.lexsort((-observed / np.mean(draws, axis=0), beyond))[0])
     # A draw's least p-value is no larger where one of its statistics is among as many of the largest.
-    last = n_draw - 1 - min(int(beyond[best]), n_draw - 1)
+    last = max(n_draw - 1 - int(beyond[best]), 0)
     among = np.any(draws >= np.partition(draws, last, axis=0)[last], axis=1)
     p_value = float((1 + np.sum(among)) / (n_draw + 1))
     if beyond[best] == 0:

@@ -191,7 +191,7 @@ class _Problem:
     def norm(self, unknowns: FloatArray, p: int) -> tuple[float, FloatArray]:
         amplitudes = self.amplitudes(unknowns)
         scaled = _signals(self.lines, amplitudes.sum(axis=1), self.n_sample)
-        largest = max(float(scaled.max()), -float(scaled.min()))
+        largest = max(scaled.max(), -scaled.min())
         scaled /= largest
         # scaled^(2 p - 1) = scaled scaled^2 ... scaled^p, p a power of two: a third of a general one's time.
         square = scaled * scaled
