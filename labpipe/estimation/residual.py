@@ -87,11 +87,12 @@ def _effective(influence: FloatArray, squares: FloatArray) -> FloatArray:
     return np.minimum(by_slopes, by_shares)
 
 
-# Draws of noise: the least p-value of four statistics cannot be below about 4 / draws.
-DRAWS, FEWEST_DRAWS = 1999, 599
+# Draws of noise: the least p-value of four statistics cannot be below about 4 / draws. Few tell one that is
+# usual of noise: of .01 they make .1 less than once in 10^15.
+DRAWS, FEWEST_DRAWS, FEW_DRAWS, USUAL_P = 1999, 599, 299, 0.1
 # Complex values in all draws together, and beyond which there is no test.
 VALUES, MOST_VALUES = 2_000_000, 20_000_000
-# Values of draws that are looked at together: they stay in the processor's cache.
+# Values of draws looked at together: they stay in the processor's cache.
 AT_ONCE = 32_000
 LAGS = 8
 WIDTHS = (3, 6, 12)
@@ -123,20 +124,20 @@ NEIGHBOURHOOD = 0.1
 @dataclass(frozen=True)
 class Null:
     """The noise that a residual is held against: *shared* from line to line, None for independent lines; of
-    a *power* along them. *n_draw*: most draws.
+    a *power* along them. *few*: by few draws alone.
     """
 
     shared: SharedNoise | None = None
     power: str = EVEN
-    n_draw: int = DRAWS
+    few: bool = False
 
 
 def residual_structure(
     residual: FloatArray, jacobian: FloatArray, size: FloatArray, null: Null | None = None
 ) -> Structure | None:
     """The structure of a residual (n_equation,) [1] of a fit with *jacobian* (n_equation, n_parameter) [1 per
-    parameter unit]; *size* (n_line, n_element) [m/N] of the response. None of too few lines. Equation
-    (est-structure).
+    parameter unit]; *size* (n_line, n_element) [m/N] of the response. None of too few lines. A p-value that
+    is usual of noise is by few draws. Equation (est-structure).
     """
     null, n_line = null or Null(), size.shape[0]
     if n_line <= LAGS + DEGREE + 1:
@@ -145,22 +146,26 @@ def residual_structure(
     levels = _levels(errors, size, null.power)
     if np.any(levels == 0):
         return None
-    n_draw = int(np.clip(VALUES // errors.size, FEWEST_DRAWS, null.n_draw))
+    n_draw = FEW_DRAWS if null.few else int(np.clip(VALUES // errors.size, FEWEST_DRAWS, DRAWS))
     if n_draw * errors.size > MOST_VALUES:
         return None
     basis = np.linalg.qr(jacobian)[0]
-    noise = _draw(n_line, size.shape[1], n_draw, null.shared)
     rows = np.tile(levels.reshape(-1), 2)[:, None]
     # Orthonormal polynomials of the line number.
     curves = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, n_line), DEGREE)
     smooth = np.linalg.qr(curves)[0]
-    statistics = []
-    for part in np.array_split(noise, 1 + noise.size // AT_ONCE, axis=1):
-        drawn = rows * part
-        drawn -= basis @ (basis.T @ drawn)
-        statistics.append(_statistics(complex_rows(drawn, n_line), size, smooth))
     observed = _statistics(errors[:, :, None], size, smooth)[0]
-    return _least_p(observed, np.concatenate(statistics))
+
+    def against(n_draw: int) -> Structure:
+        noise, statistics = _draw(n_line, size.shape[1], n_draw, null.shared), []
+        for part in np.array_split(noise, 1 + noise.size // AT_ONCE, axis=1):
+            drawn = rows * part
+            drawn -= basis @ (basis.T @ drawn)
+            statistics.append(_statistics(complex_rows(drawn, n_line), size, smooth))
+        return _least_p(observed, np.concatenate(statistics))
+
+    by_few = against(FEW_DRAWS)
+    return by_few if null.few or by_few.p_value >= USUAL_P else against(n_draw)
 
 
 def _levels(errors: ComplexArray, size: FloatArray, kind: str) -> FloatArray:
@@ -197,7 +202,7 @@ def _statistics(residual: ComplexArray, size: FloatArray, smooth: FloatArray) ->
     """Four statistics (n_draw, 4) of residuals (n_line, n_element, n_draw) that structure makes large, of any
     size; *size* (n_line, n_element) [m/N], *smooth* (n_line, n_curve) [1].
     """
-    # Lines last: neighbours lie beside each other.
+    # Lines last: neighbours beside each other.
     along = np.ascontiguousarray(residual.T)
     scaled = along / np.sqrt(_square(along).mean(axis=2, keepdims=True))
     lags = (np.vecdot(scaled[:, :, :-d], scaled[:, :, d:]) for d in range(1, LAGS + 1))

@@ -111,9 +111,10 @@ def literal_statistics(residual: np.ndarray, size: np.ndarray) -> list[float]:
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 4.0])
-def test_a_p_value_is_the_rank_among_draws_one_by_one(slope: float) -> None:
+def test_a_p_value_is_the_rank_among_draws_one_by_one(slope: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of all draws, the share with a statistic at least as far up as the best of the residual's."""
     n_line, n_draw, rng = 40, 50, np.random.default_rng(3)
+    monkeypatch.setattr("labpipe.estimation.residual.FEW_DRAWS", n_draw)
     size, jacobian = np.exp(rng.normal(size=(n_line, 2))), rng.normal(size=(4 * n_line, 3))
     basis = np.linalg.qr(jacobian)[0]
     residual = rng.normal(size=4 * n_line) + slope * np.tile(np.linspace(-1, 1, n_line).repeat(2), 2)
@@ -132,7 +133,7 @@ def test_a_p_value_is_the_rank_among_draws_one_by_one(slope: float) -> None:
     # Rank from above of every draw and of the residual in every statistic.
     ranks = [[1 + sum(o[k] > d[k] for o in draws) for k in range(4)] for d in draws]
     own = [1 + sum(draw[k] >= observed[k] for draw in draws) for k in range(4)]
-    structure = residual_structure(residual, jacobian, size, Null(n_draw=n_draw))
+    structure = residual_structure(residual, jacobian, size, Null(few=True))
     assert structure is not None
     assert min(own) == own[SAID.index(structure.said)]
     expected = (1 + sum(min(rank) <= min(own) for rank in ranks)) / (n_draw + 1)
@@ -140,6 +141,18 @@ def test_a_p_value_is_the_rank_among_draws_one_by_one(slope: float) -> None:
         assert structure.p_value == pytest.approx(expected, rel=1e-12)
     else:
         assert structure.p_value <= expected
+
+
+def test_what_few_draws_show_to_be_noise_needs_no_more() -> None:
+    """1 + 299 ranks of noise, 1 + 1,999 where less than one in ten of the few is as far up."""
+    n_line, rng = 40, np.random.default_rng(8)
+    noise, jacobian, size = rng.normal(size=(2 * n_line)), np.zeros((2 * n_line, 1)), np.ones((n_line, 1))
+    jacobian[0] = 1.0
+    for slope, usual in ((0.0, True), (0.8, False)):
+        structure = residual_structure(noise + slope * np.tile(np.linspace(-1, 1, n_line), 2), jacobian, size)
+        assert structure is not None and (structure.p_value >= 0.1) == usual
+        ranks = structure.p_value * np.array([300, 2000])
+        assert (np.abs(ranks - np.round(ranks)) < 1e-9).tolist() == [usual, not usual]
 
 
 def test_few_lines_show_no_structure() -> None:
