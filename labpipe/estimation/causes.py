@@ -311,9 +311,8 @@ def _best_of_grid(
 
 
 def least_squares_at_delays(measured: Measured, model: DynamicModel, delays: FloatArray) -> FloatArray:
-    """Least squares of the equation of motion of one FRF turned back by each of *delays* (n_delay,) [s],
-    (n_delay, n_parameter) [parameter units]. All terms Z_j H of a line turn alike, which leaves their
-    products as they are; beside them the force turns the other way.
+    """Least squares of the equation of motion of one FRF turned back by *delays* (n_delay,) [s], (n_delay,
+    n_parameter) [parameter units]. Its terms turn alike, and their products stay; the force turns back.
     """
     equation, force = regression(measured, model, "none"), model.constant.force[0, 0]
     terms = equation.terms[:, :, 0, 0].conj()

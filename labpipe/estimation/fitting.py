@@ -176,7 +176,7 @@ class _BandFit:
     values: FloatArray
 
 
-# A study or repeats fit the same model many times.
+# Studies and repeats fit one model often.
 @functools.lru_cache(maxsize=16)
 def _model(setup: Setup) -> derived.BandModel:
     """The settings' model; the residue of a transfer FRF of unknown mass, of any sign and phase, and residual

@@ -343,7 +343,7 @@ def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArra
     while True:
         neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
         count = _neighbourhood_count(broadband, half_width, centre=False)
-        limit = np.asarray(special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL))
+        limit = special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL)
         # A line without remaining neighbours cannot be tested.
         outliers = np.any((power > limit[:, None] * neighbours) & (neighbours > 0), axis=1) & broadband
         if not np.any(outliers):

@@ -437,7 +437,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         distortion=distortion / np.sqrt(m),
         # All were measured through the same sums.
         errors=tuple(
-            replace(of_one[0], change=np.asarray(np.mean([error.change for error in of_one], axis=0)))
+            replace(of_one[0], change=np.mean([error.change for error in of_one], axis=0))
             for of_one in zip(*(response.errors for response in responses), strict=True)
         ),
         change=_mean_of(responses, "change"),

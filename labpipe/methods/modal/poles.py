@@ -504,7 +504,7 @@ def _with_one_more(done: Completed, correlation: tuple[complex, ...]) -> Complet
         pole += 1j * decay
     width = max(3, n_wide)
     part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
-    participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
+    participation = np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = again.converged and _distinct(again) and np.all(_standing(lines, again))

@@ -116,8 +116,7 @@ QUICK_NORMS, QUICK_STEPS = (4, 32), 40
 # Relative change of the norm at which a descent ends: a thousandth of it takes twice the steps, and the peaks
 # are the same to .1 %, which is what other starts change them by.
 SETTLED = 1e-6
-# Norms that every start descends; those after them the best alone, which leaves out two steps in five and
-# raises the peaks by .1 %.
+# Norms that every start descends; further ones the best alone: two steps in five less, peaks .1 % higher.
 EVERY_START = 2
 
 
@@ -159,7 +158,7 @@ def least_peak_phases(
     how = {"jac": True, "method": "L-BFGS-B", "options": options}
     for number, p in enumerate(QUICK_NORMS if quick else HALF_NORMS, 1):
         begins = [scipy.optimize.minimize(problem.norm, start, args=(p,), **how).x for start in begins]
-        reached = [problem.peak(unknowns) for unknowns in begins]
+        reached = [problem.peak(end) for end in begins]
         lowest = int(np.argmin(reached))
         if reached[lowest] < least:
             best, least = begins[lowest], reached[lowest]
@@ -201,7 +200,7 @@ class _Problem:
             powers *= square
         total = float(np.vdot(powers, scaled))
         spectrum = fft.rfft(powers, axis=1, overwrite_x=True)[:, self.lines].T
-        # The real part of 1j amplitudes conj(spectrum), summed over the signals.
+        # Re(1j a conj(S)) of all signals.
         slope = np.einsum("lsc,lc->ls", amplitudes, spectrum.conj()).imag / -largest / total
         differences = np.zeros((self.n_group, self.n_source - 1))
         np.add.at(differences, self.group, slope[:, 1:])
