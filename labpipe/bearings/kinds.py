@@ -202,7 +202,7 @@ class BearingUncertainties:
         """Standard uncertainty of the stiffness, the damping or the amounts at rest by all independent
         sources, (n_dof, n_dof) or (n_amount,) [unit of each].
         """
-        return np.asarray(np.sqrt(np.sum(getattr(self, of) ** 2, axis=0)))
+        return np.sqrt(np.sum(getattr(self, of) ** 2, axis=0))
 
     def shares(self, changes: FloatArray) -> list[tuple[str, float]]:
         """Shares in the variance of one amount, the largest first; *changes* (n_source,) [its unit]."""

@@ -417,7 +417,7 @@ def likelihood_step(case: Case) -> Step:
     def step(model: BandModel, changed: Measured) -> FloatArray:
         moved_problem = OutputError(changed, expected(changed, model), problem.whitener)
         moved = moved_problem.residual(case.estimate.values)
-        return np.asarray(case.estimate.values - inverse @ (jacobian.T @ (moved - residual)))
+        return case.estimate.values - inverse @ (jacobian.T @ (moved - residual))
 
     return step
 

@@ -22,12 +22,12 @@ from labpipe.display import amount_text, chance_text, change_text, difference_in
 from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.derived import Estimated, correct
-from labpipe.estimation.descent import minimise
+from labpipe.estimation.descent import minimise, scaled_triangle
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_matrices
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.regression import equation_solution, inverse_of, regression
+from labpipe.estimation.regression import inverse_of, regression
 from labpipe.estimation.residual import line_scatter
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of, steps_by
 from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened, whitener
@@ -299,16 +299,28 @@ def _best_of_grid(
 
     # H without a delay is the same all over the grid.
     still = delayed.model.receptance(values, omega)
-    delays = delays_of_grid(float(omega[-1])).tolist()
+    delays = delays_of_grid(float(omega[-1]))
     places = [(chi2(still * delayed.turned(delay, omega)), np.append(values, delay)) for delay in delays]
-    for delay in delays if late.size == 1 else ():
-        back = replace(measured, matrix=measured.matrix / delayed.turned(delay, omega))
-        place = np.append(equation_solution(regression(back, model, "none"), model)[0], delay)
-        places.append((chi2(delayed.receptance(place, omega)), place))
+    if late.size == 1:
+        least = np.column_stack([least_squares_at_delays(measured, model, delays), delays])
+        places += [(chi2(delayed.receptance(place, omega)), place) for place in least]
     places.sort(key=lambda entry: entry[0])
     apart = np.array([abs(place[-1] - places[0][1][-1]) * omega[-1] for _, place in places])
     starts = [0] if late.size > 1 else [0, int(np.argmax(apart > np.pi / 2))]
     return [(places[n][0], problem, places[n][1]) for n in starts]
+
+
+def least_squares_at_delays(measured: Measured, model: DynamicModel, delays: FloatArray) -> FloatArray:
+    """Least squares of the equation of motion of one FRF turned back by *delays* (n_delay,) [s], (n_delay,
+    n_parameter) [parameter units]. Its terms turn alike, and their products stay; the force turns back.
+    """
+    equation, force = regression(measured, model, "none"), model.constant.force[0, 0]
+    terms = equation.terms[:, :, 0, 0].conj()
+    still = (terms @ (equation.right_side[:, 0, 0] - force)).real
+    turned = (np.exp(-1j * np.outer(delays, measured.omega)) @ (terms * force).T).real
+    scale, triangle, _ = scaled_triangle(equation.rows.T)
+    values = np.linalg.solve(triangle, np.linalg.solve(triangle.T, ((still + turned) / scale).T))
+    return values.T / scale
 
 
 def delays_of_grid(highest: float) -> FloatArray:
@@ -475,7 +487,7 @@ def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_
 def _basis(shapes: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(shapes, axis=1)
     _, singular, rows = np.linalg.svd(shapes[lengths > 0] / lengths[lengths > 0, None], full_matrices=False)
-    return np.asarray(rows[singular > SAME_SHAPE * singular[0]])
+    return rows[singular > SAME_SHAPE * singular[0]]
 
 
 def _chance(change: FloatArray, shapes: FloatArray, measured: Measured) -> _Chance | None:

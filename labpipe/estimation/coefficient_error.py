@@ -391,7 +391,7 @@ class _Course:
         n = self.functions.shape[1]
         right = (self.patterns.conj().swapaxes(1, 2) @ columns).reshape(n_line, -1)
         sides = (self.functions.T @ right).reshape(n, n_pattern, -1).swapaxes(0, 1)
-        return np.asarray(self.vectors.conj().T @ sides.reshape(n_pattern * n, -1))
+        return self.vectors.conj().T @ sides.reshape(n_pattern * n, -1)
 
 
 def _evidence(
@@ -431,4 +431,4 @@ def _evidence(
 
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     left, right = (part.reshape(-1, part.shape[-1]) for part in (first, second))
-    return np.asarray((left.conj().T @ right).real)
+    return (left.conj().T @ right).real

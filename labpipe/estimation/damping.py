@@ -145,7 +145,7 @@ class FactorModel:
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
         expanded = self.expanded.jacobian(self.expanded_values(parameters), omega)
-        return np.asarray(np.tensordot(self.slopes(parameters).T, expanded, 1))
+        return np.tensordot(self.slopes(parameters).T, expanded, 1)
 
     def whole(self, parameters: FloatArray) -> Matrices:
         """K [N/m], C [N.s/m], M [kg] and B of *parameters* (..., n_parameter)."""
@@ -172,7 +172,7 @@ def _critical(stiffness: FloatArray, mass: FloatArray) -> FloatArray:
     if np.linalg.matrix_rank(mass) < mass.shape[0]:
         return stiffness
     squares, shapes = np.linalg.eig(np.linalg.solve(mass, stiffness))
-    return np.asarray((mass @ shapes @ np.diag(np.sqrt(np.abs(squares))) @ np.linalg.inv(shapes)).real)
+    return (mass @ shapes @ np.diag(np.sqrt(np.abs(squares))) @ np.linalg.inv(shapes)).real
 
 
 PROPORTIONAL = DampingLaw(

@@ -242,12 +242,11 @@ def _propagated_all(
         centre = quantities(total.values[None])
         return [Parameter(name, float(of[0]), unit, derived=True) for name, (unit, of) in centre.items()]
     n = steps.size
-    parameters = []
-    for name, (unit, values) in quantities_at_steps.items():
-        slope = (values[1 : n + 1] - values[n + 1 :]) / (2 * steps)
-        error = float(np.sqrt(max(slope @ total.covariance @ slope, 0.0)))
-        parameters.append(statistics.derive(name, unit, float(values[0]), error, dof))
-    return parameters
+    values = np.array([of for _, of in quantities_at_steps.values()])
+    slopes = (values[:, 1 : n + 1] - values[:, n + 1 :]) / (2 * steps)
+    errors = np.sqrt(np.maximum(np.vecdot(slopes @ total.covariance, slopes), 0.0))
+    named = zip(quantities_at_steps.items(), values[:, 0].tolist(), errors.tolist(), strict=True)
+    return [statistics.derive(name, unit, value, error, dof) for (name, (unit, _)), value, error in named]
 
 
 def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
@@ -311,8 +310,8 @@ def reported_parameters(
     coefficients = []
     for number, (name, place) in enumerate(zip(reported.names, places, strict=False)):
         value, error, dof = reported.value(name), reported.std_error(name), int(estimate.student_dof[place])
-        plain = statistics.estimated(name, reported.units[number], value, error, dof, float(vifs[place]))
-        coefficients.append(replace(plain, derived=number >= vifs.size))
+        of_place = value, error, dof, float(vifs[place]), number >= vifs.size
+        coefficients.append(statistics.estimated(name, reported.units[number], *of_place))
     derived = derived_parameters(total, every, model, setup, int(estimate.student_dof.min()))
     given = [
         Parameter(name + end, of.value(name), COEFFICIENT_UNITS[name[0]], derived=True)

@@ -38,12 +38,12 @@ def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] 
     """(lengths S of the columns [any unit], R (n, n) [1]) from the products (n, n) of columns, of zeros with
     the length 1; None where R is too inexact, FitError beyond all numbers.
     """
-    scale = np.sqrt(np.diag(products))
-    if not np.all(np.isfinite(scale)):
+    scale = np.sqrt(products.diagonal())
+    if not np.isfinite(scale).all():
         raise FitError("the fit got to values so far off that they cannot be computed with")
-    scale = np.where(scale > 0, scale, 1.0)
+    scale[scale == 0] = 1.0
     try:
-        triangle: FloatArray = np.linalg.cholesky(products / np.outer(scale, scale)).T
+        triangle: FloatArray = np.linalg.cholesky(products / (scale[:, None] * scale)).T
     except np.linalg.LinAlgError:
         return None
     singular = np.linalg.svd(triangle, compute_uv=False)

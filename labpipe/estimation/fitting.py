@@ -176,6 +176,8 @@ class _BandFit:
     values: FloatArray
 
 
+# Studies and repeats fit one model often.
+@functools.lru_cache(maxsize=16)
 def _model(setup: Setup) -> derived.BandModel:
     """The settings' model; the residue of a transfer FRF of unknown mass, of any sign and phase, and residual
     terms beside a mode need no linear equations.

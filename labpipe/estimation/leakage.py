@@ -97,7 +97,7 @@ class SharedNoise:
         kernel = self._kernel(n)
         shape = (-1,) + (1,) * (columns.ndim - 1)
         spectrum = fft.fft(kernel).reshape(shape) * fft.fft(columns, kernel.size, axis=0)
-        return np.asarray(fft.ifft(spectrum, axis=0)[:n])
+        return fft.ifft(spectrum, axis=0)[:n]
 
     def _kernel(self, n: int) -> ComplexArray:
         """The correlation of *n* lines as that of a circle of lines so long that its ends do not meet."""
@@ -229,7 +229,7 @@ class Leakage:
     def points_of(self, model: ReceptanceModel, parameters: FloatArray) -> ComplexArray:
         """H [m/N] of the model at every line's points, (n_line, n_point, n_dof, n_input)."""
         omega, place = self.grid
-        return np.asarray(model.receptance(parameters, omega)[place] * self._factors[:, :, None, None])
+        return model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
 
     def averaged(self, values: ComplexArray) -> ComplexArray:
         """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof,
@@ -397,4 +397,4 @@ def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
 def _sizes(covariance: ComplexArray) -> FloatArray:
     """Products s_a s_b of the standard deviations, (n_line, n, n)."""
     size = np.sqrt(np.einsum("lii->li", covariance).real)
-    return np.asarray(size[:, :, None] * size[:, None, :])
+    return size[:, :, None] * size[:, None, :]

@@ -94,7 +94,7 @@ def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
         if detail.given_in_noise:
             of_given = np.diag(detail.given(errors.size))
             errors = np.sqrt(np.maximum(errors**2 - of_given, by_noise**2))
-    return np.asarray(fit.correlation * np.outer(errors, errors))
+    return fit.correlation * np.outer(errors, errors)
 
 
 def _amount(change: FloatArray, information: FloatArray, shape: FloatArray) -> tuple[float, float]:

@@ -200,7 +200,7 @@ def _noise_of_channels(
     if response.snr is None or response.distortion is not None:
         return None
     channels = [*columns, *(len(response.inputs) + row for row in rows)]
-    return np.asarray(np.maximum(response.snr[lines][:, channels], 1.0) ** -2.0)
+    return np.maximum(response.snr[lines][:, channels], 1.0) ** -2.0
 
 
 def _chosen_covariance(
@@ -212,7 +212,7 @@ def _chosen_covariance(
     if response.covariance is None:
         return None
     whole = response.covariance[lines][:, index][:, :, index]
-    return np.asarray(whole / (np.abs(factor) ** 2)[:, None, None])
+    return whole / (np.abs(factor) ** 2)[:, None, None]
 
 
 def _leakage(response: FrequencyResponse, blocks: Blocks | None, frequency: FloatArray) -> Leakage | None:

@@ -33,8 +33,6 @@ from labpipe.records.finding import Finding
 from labpipe.records.identification import Goodness
 
 MOST_STEPS = 40
-# Draws of noise where a p-value only has to be above MISMATCH_P.
-FEW_DRAWS = 299
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
 # A line is left out by so much more variance; of fewer lines one is too large a part. It is named with so
@@ -131,7 +129,8 @@ class _Judge:
         """True where noise of this *power* along the lines explains the residual of unknown noise."""
         if best.structure is None:
             return False
-        null = Null(self.measured.line_noise, power, FEW_DRAWS)
+        # The p-value only has to be above MISMATCH_P.
+        null = Null(self.measured.line_noise, power, few=True)
         structure = self.structure(best.problem, best.values, null)
         return structure is not None and structure.p_value >= MISMATCH_P
 
@@ -362,7 +361,7 @@ def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
 
 def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
     ratio = np.sqrt(np.maximum(np.diag(least) / np.maximum(np.diag(covariance), np.finfo(float).tiny), 1.0))
-    return np.asarray(covariance * np.outer(ratio, ratio))
+    return covariance * np.outer(ratio, ratio)
 
 
 def _growth(estimate: Estimate, covariance: FloatArray) -> str:

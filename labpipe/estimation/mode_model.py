@@ -301,7 +301,7 @@ class Fitted:
         rows = self.model.curve.weighted(self.at_minimum[1]).T.copy()
         scale = np.linalg.norm(rows, axis=0)
         inverse = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
-        return np.asarray(inverse[np.ix_(self.model.kept, self.model.kept)])
+        return inverse[np.ix_(self.model.kept, self.model.kept)]
 
 
 def extensions(base: Fitted) -> Iterator[Fitted]:

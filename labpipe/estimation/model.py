@@ -129,8 +129,8 @@ class ActingTerms:
             return elements
         if self.single is not None:
             factors = self.matrices[self.single, np.arange(self.single.size)]
-            return np.asarray(elements[..., self.single] * factors)
-        return np.asarray(elements @ self.matrices)
+            return elements[..., self.single] * factors
+        return elements @ self.matrices
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class DynamicModel:
         joined = parameters @ self._joined[:-1] + self._joined[-1]
         square = joined[..., : 3 * n_dof**2].reshape(*joined.shape[:-1], 3, n_dof, n_dof)
         force = joined[..., 3 * n_dof**2 :].reshape(*joined.shape[:-1], n_dof, n_input)
-        stiffness, damping, mass = np.moveaxis(square, -3, 0)
+        stiffness, damping, mass = (square[..., kind, :, :] for kind in range(3))
         return Matrices(stiffness, damping.real, mass.real, force.real)
 
     def dynamic_stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:

@@ -109,7 +109,7 @@ class Regression:
 
     def residual(self, values: FloatArray) -> ComplexArray:
         """Residual of the equation, (n_line, n_dof, n_input) [1]."""
-        return np.asarray(self.right_side - np.tensordot(values, self.terms, 1))
+        return self.right_side - np.tensordot(values, self.terms, 1)
 
 
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
@@ -138,7 +138,7 @@ def line_weights(measured: Measured, weight: str) -> FloatArray:
     noise = np.sqrt(np.einsum("lii->l", measured.covariance).real)
     if np.any(noise == 0):
         raise FitError("a line of the FRF has no noise, so lines cannot be weighted by it", hint=cure)
-    return np.asarray(size / noise / np.max(size / noise))
+    return size / noise / np.max(size / noise)
 
 
 def output_chi_square(
@@ -351,7 +351,7 @@ def _sandwich(
     else:
         middle = _residual_scores(measured, equation, instruments, values)
     bread = np.linalg.pinv(instruments @ equation.rows.T)
-    return np.asarray(bread @ middle @ bread.T)
+    return bread @ middle @ bread.T
 
 
 def _scores(
@@ -364,7 +364,7 @@ def _scores(
     turned = np.einsum("lab,ij->laibj", z, np.eye(n_input)).reshape(n_line, n_output * n_input, -1)
     omega = turned @ measured.covariance @ turned.conj().swapaxes(1, 2)
     rows = complex_rows(instruments.T, n_line).swapaxes(1, 2)
-    return np.asarray(0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real)
+    return 0.5 * np.sum(rows.conj() @ omega @ rows.swapaxes(1, 2), axis=0).real
 
 
 def _residual_scores(
@@ -374,7 +374,7 @@ def _residual_scores(
     products = instruments * statistics.stack(equation.residual(values).reshape(-1))
     by_line = products.reshape(values.size, 2, measured.omega.size, -1).sum(axis=(1, 3))
     n = measured.n_equation
-    return np.asarray(by_line @ by_line.T * (n / (n - values.size)))
+    return by_line @ by_line.T * (n / (n - values.size))
 
 
 def _weighted_columns(terms: ComplexArray, equation: Regression) -> FloatArray:

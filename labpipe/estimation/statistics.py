@@ -64,14 +64,16 @@ def student_limit(dof: int) -> float:
     return student_quantile(0.975, max(dof, 1))
 
 
-def estimated(name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None) -> Parameter:
+def estimated(
+    name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None, derived: bool = False
+) -> Parameter:
     """An estimated parameter with t-ratio, 95 % interval and significance. Equation (est-interval)."""
     if not np.isfinite(std_error):
-        return Parameter(name, value, unit, vif=vif)
+        return Parameter(name, value, unit, vif=vif, derived=derived)
     reach = student_limit(dof) * std_error
-    ratio = value / std_error if std_error > 0 else None
-    plain = Parameter(name, value, unit, std_error=std_error, t_ratio=ratio, vif=vif)
-    return replace(plain, ci95=(value - reach, value + reach), significant=abs(value) > reach)
+    ends, ratio = (value - reach, value + reach), value / std_error if std_error > 0 else None
+    said: Any = {"t_ratio": ratio, "ci95": ends, "significant": abs(value) > reach}
+    return Parameter(name, value, unit, std_error=std_error, vif=vif, derived=derived, **said)
 
 
 def widen(parameter: Parameter, factor: float) -> Parameter:
@@ -117,7 +119,7 @@ def inflation_factors(scaled_design: FloatArray) -> FloatArray:
     """
     _, singular, vectors = np.linalg.svd(scaled_design, full_matrices=False)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.sum((vectors / singular[:, None]) ** 2, axis=0))
+        return np.sum((vectors / singular[:, None]) ** 2, axis=0)
 
 
 def condition_number(scaled_design: FloatArray) -> float:
@@ -191,7 +193,7 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     """Orthonormal columns (n_datum, rank) [1] that span *columns* (n_datum, n) [any units]."""
     length = np.linalg.norm(columns, axis=0)
     basis, singular, _ = np.linalg.svd(columns[:, length > 0] / length[length > 0], full_matrices=False)
-    return np.asarray(basis[:, singular > DEPENDENT])
+    return basis[:, singular > DEPENDENT]
 
 
 def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -199,7 +201,7 @@ def steps_by(changes: FloatArray, slopes: FloatArray, covariance: FloatArray) ->
     residual of slopes J: slopes (n_datum, n_parameter) [1/parameter unit]; covariance (n_parameter,
     n_parameter) [parameter units] (J^T J)^-1. Equation (unc-step).
     """
-    return np.asarray(-changes @ slopes @ covariance)
+    return -changes @ slopes @ covariance
 
 
 # Standard uncertainties of both together from a stated number to what the data ask for, beyond which they
@@ -229,13 +231,13 @@ class Pulls:
         """|asked| over the standard uncertainty of what was asked and what was stated together (n_source,)
         [1]. Equation (unc-pull).
         """
-        return np.asarray(np.abs(self.asked) / np.hypot(1.0, self.error))
+        return np.abs(self.asked) / np.hypot(1.0, self.error)
 
     @property
     def far(self) -> BoolArray:
         """Whether data and stated number contradict each other (n_source,)."""
         by_chance = -normal_quantile(FAR_P / 2 / max(self.asked.size, 1))
-        return np.asarray(self.sizes > max(FAR, by_chance))
+        return self.sizes > max(FAR, by_chance)
 
     @property
     def factors(self) -> FloatArray:

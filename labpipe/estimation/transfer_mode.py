@@ -54,7 +54,7 @@ class TransferMode:
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H [m/N] at *parameters* (6,) [parameter units], (n_line, 1, 1); *omega* (n_line,) [rad/s]."""
         numerator, constant = complex(*parameters[2:4]), complex(*parameters[4:])
-        return np.asarray(numerator / _denominator(parameters, omega) + constant)[:, None, None]
+        return (numerator / _denominator(parameters, omega) + constant)[:, None, None]
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (6, n_line, 1, 1) [m/N per parameter unit]."""
@@ -89,7 +89,7 @@ class DrivingMode(TransferMode):
         """H [m/N] at *parameters* (5,) [parameter units], (n_line, 1, 1); *omega* (n_line,) [rad/s]."""
         k, c, m = parameters[:3]
         mode = 1 / (k + 1j * omega * c - omega**2 * m)
-        return np.asarray(mode + complex(*parameters[3:]))[:, None, None]
+        return (mode + complex(*parameters[3:]))[:, None, None]
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (5, n_line, 1, 1) [m/N per parameter unit]."""
@@ -101,7 +101,7 @@ class DrivingMode(TransferMode):
 
 def _denominator(parameters: FloatArray, omega: FloatArray) -> ComplexArray:
     w_n, zeta = 2 * np.pi * parameters[0], parameters[1]
-    return np.asarray(w_n**2 - omega**2 + 2j * zeta * w_n * omega)
+    return w_n**2 - omega**2 + 2j * zeta * w_n * omega
 
 
 def is_transfer(output: Port, force: Port) -> bool:

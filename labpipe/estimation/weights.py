@@ -39,7 +39,7 @@ class ProductWeights:
 
     def whitened(self, values: ComplexArray) -> ComplexArray:
         """FRFs (..., n_line, n_output, n_input) [m/N] uncorrelated and of variance 1, same shape [1]."""
-        return np.asarray(self.outputs @ values @ self.inputs.swapaxes(1, 2))
+        return self.outputs @ values @ self.inputs.swapaxes(1, 2)
 
     def whitened_columns(self, by_line: ComplexArray) -> ComplexArray:
         """Terms (n_line, n_output, n_input, n_term) [m/N per unit of the term] likewise, (n_line, n_output *
@@ -47,7 +47,7 @@ class ProductWeights:
         """
         n_line, n_output, _, n_term = by_line.shape
         across = (self.outputs @ by_line.reshape(n_line, n_output, -1)).reshape(by_line.shape)
-        return np.asarray((self.inputs[:, None] @ across).reshape(n_line, -1, n_term))
+        return (self.inputs[:, None] @ across).reshape(n_line, -1, n_term)
 
 
 def correlation_factors(
@@ -157,7 +157,7 @@ def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
     n_element, n_parameter) [its unit]; likewise a residual (n_equation,).
     """
     half = jacobian.shape[0] // 2
-    return np.asarray((jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, *jacobian.shape[1:]))
+    return (jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, *jacobian.shape[1:])
 
 
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
@@ -225,7 +225,7 @@ def whitener(measured: Measured) -> ComplexArray:
     """L^-1 of C = L L^H per line, (n_line, n, n) [N/m]; FitError for a zero variance or a singular C."""
     std, scaled = _scale(measured)
     _check_regular(measured, np.linalg.eigvalsh(scaled)[:, 0])
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :])
+    return np.linalg.inv(np.linalg.cholesky(scaled)) / std[:, None, :]
 
 
 def fit_weights(measured: Measured) -> Weights:
@@ -292,7 +292,7 @@ def _deviations(measured: Measured) -> FloatArray:
 
 
 def _is_singular(smallest: FloatArray, n: int) -> BoolArray:
-    return np.asarray(smallest < SINGULAR_ROUNDINGS * n * np.finfo(float).eps)
+    return smallest < SINGULAR_ROUNDINGS * n * np.finfo(float).eps
 
 
 def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
@@ -332,7 +332,7 @@ def white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> Com
     if isinstance(whitener, ProductWeights):
         return whitener.at(lines).whitened_columns(by_line)
     columns = by_line.reshape(by_line.shape[0], -1, by_line.shape[3])
-    return np.asarray(whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None])
+    return whitener[lines] @ columns if whitener.ndim == 3 else columns * whitener[lines, :, None]
 
 
 def is_short(weights: Weights) -> bool:

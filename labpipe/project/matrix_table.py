@@ -153,7 +153,7 @@ def _square(point: MatrixPoint, letter: str) -> FloatArray:
 
 def _interpolate(frequency: FloatArray, matrix: ComplexArray, at: FloatArray) -> ComplexArray:
     columns = [np.interp(at, frequency, column) for column in matrix.reshape(frequency.size, -1).T]
-    return np.asarray(np.stack(columns, axis=1).reshape(at.size, 2, 2))
+    return np.stack(columns, axis=1).reshape(at.size, 2, 2)
 
 
 def _coefficients(course: Course, frequency: FloatArray) -> FloatArray:

@@ -275,4 +275,4 @@ def _strongest_peak(decays: Sequence[FloatArray]) -> tuple[int, int]:
 
 
 def _power(samples: FloatArray, taper: FloatArray) -> FloatArray:
-    return np.asarray(np.abs(np.fft.rfft((samples - samples.mean()) * taper)) ** 2)
+    return np.abs(np.fft.rfft((samples - samples.mean()) * taper)) ** 2

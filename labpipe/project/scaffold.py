@@ -409,7 +409,7 @@ def _mobility(guessed: GuessedFrf) -> FloatArray | ComplexArray:
     """Mobilities (n_line, n_element) [1] of FRFs above 0 Hz; amplitudes where nothing else is known."""
     moving, order = guessed.frequency > 0, _order(guessed)
     mobility = guessed.values[moving] * guessed.frequency[moving, None] ** order
-    return np.asarray(mobility * 1j**order if np.iscomplexobj(mobility) else np.abs(mobility))
+    return mobility * 1j**order if np.iscomplexobj(mobility) else np.abs(mobility)
 
 
 def _with_falling_phase(guessed: GuessedFrf) -> GuessedFrf:

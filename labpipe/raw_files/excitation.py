@@ -140,7 +140,7 @@ PHASES: dict[str, Callable[[IntArray, int], FloatArray]] = {
 
 def _period(lines: IntArray, phases: FloatArray, n_sample: int) -> FloatArray:
     """One period of sum cos(2 pi k t + phi_k) on n_sample points."""
-    return np.asarray(_signals(lines, np.exp(1j * phases)[:, None], n_sample)[0])
+    return _signals(lines, np.exp(1j * phases)[:, None], n_sample)[0]
 
 
 LAWS = ("linear", "logarithmic")
@@ -198,9 +198,9 @@ class Sweep:
         """
         first, last = self.band[::-1] if falling else self.band
         if self.law == "linear":
-            return np.asarray(2 * np.pi * (first * time + (last - first) * time**2 / (2 * self.duration)))
+            return 2 * np.pi * (first * time + (last - first) * time**2 / (2 * self.duration))
         growth = np.log(last / first) / self.duration
-        return np.asarray(2 * np.pi * first * np.expm1(growth * time) / growth)
+        return 2 * np.pi * first * np.expm1(growth * time) / growth
 
 
 # The peak of a sum of sines is taken between this many samples per period of the highest line.
@@ -216,7 +216,7 @@ def peaks(lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     # Around its peak S a sum of sines up to line k is at least S cos(2 pi k (t - t_S)), and a sample is no
     # farther than half a step.
     between = np.cos(np.pi * int(lines.max()) / signals.shape[1])
-    return np.asarray(np.abs(signals).max(axis=1) / between)
+    return np.abs(signals).max(axis=1) / between
 
 
 def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> FloatArray:
@@ -229,4 +229,4 @@ def one_period(lines: IntArray, amplitudes: ComplexArray, oversampling: int) -> 
 def _signals(lines: IntArray, amplitudes: ComplexArray, n_sample: int) -> FloatArray:
     spectrum = np.zeros((amplitudes.shape[1], n_sample // 2 + 1), np.complex128)
     spectrum[:, lines] = amplitudes.T * (n_sample / 2)
-    return np.asarray(fft.irfft(spectrum, n_sample, axis=1))
+    return fft.irfft(spectrum, n_sample, axis=1)

@@ -201,4 +201,4 @@ def _density(rows: FloatArray) -> FloatArray:
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
     power = np.abs(fft.rfft((rows - rows.mean(axis=0)) * window[:, None], axis=0)) ** 2 / np.sum(window**2)
     power[1 : (n + 1) // 2] *= 2
-    return np.asarray(power)
+    return power

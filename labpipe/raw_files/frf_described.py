@@ -124,7 +124,7 @@ class DescribedColumns:
     def _numbers(self, described: str) -> Any:
         numbered = self._number(described)
         if numbered is None:
-            return np.asarray(self._read(self._index(described)))
+            return self._read(self._index(described))
         base, number = numbered
         matrix = np.asarray(self._read(self._index(base)))
         columns = matrix if matrix.ndim == 2 and matrix.shape[0] >= matrix.shape[1] else matrix.T

@@ -51,7 +51,7 @@ class FactoredCovariance:
     def variance(self) -> FloatArray:
         """E|H - E H|^2 of every element, (n_line, n_output, n_input) [unit^2 of H]."""
         left, right = (np.einsum("lii->li", factor).real for factor in (self.outputs, self.inputs))
-        return np.asarray(np.maximum(left[:, :, None] * right[:, None, :], 0.0))
+        return np.maximum(left[:, :, None] * right[:, None, :], 0.0)
 
     def whole(self) -> ComplexArray:
         """The covariance of vec(H), row-major, (n_line, n, n) [unit^2 of H], Hermitian.
@@ -120,7 +120,7 @@ class BlockCovariance:
     def variance(self) -> FloatArray:
         """E|H - E H|^2 of every element of vec(H), (n_line, n) [unit^2 of H]."""
         diagonal = np.einsum("lbjj->lbj", self.blocks).real
-        return np.asarray(diagonal[:, self._places[:, 0], self._places[:, 1]])
+        return diagonal[:, self._places[:, 0], self._places[:, 1]]
 
     def chosen(self, lines: BoolArray, index: Sequence[int]) -> BlockCovariance:
         """That of the elements *index*, which are the new vec(H), on the *lines* (n_frequency,), of rows and
@@ -156,7 +156,7 @@ StoredCovariance = ComplexArray | FactoredCovariance | BlockCovariance | None
 def variance_of(covariance: StoredCovariance) -> FloatArray | None:
     """E|H - E H|^2 of every element of vec(H), (n_line, n) [unit^2 of H], or None where nothing is known."""
     if isinstance(covariance, np.ndarray):
-        return np.asarray(np.einsum("lii->li", covariance).real)
+        return np.einsum("lii->li", covariance).real
     return None if covariance is None else covariance.variance.reshape(covariance.shape[:2])
 
 

@@ -210,7 +210,7 @@ class Budget:
 
         Equation (unc-systematic).
         """
-        return np.asarray(np.sqrt(np.sum(self.changes**2, axis=0)))
+        return np.sqrt(np.sum(self.changes**2, axis=0))
 
     @property
     def combined(self) -> FloatArray:

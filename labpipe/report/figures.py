@@ -314,7 +314,7 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
 
 def _mean_size(values: ComplexArray) -> FloatArray:
     """Root mean square (n_line,) over the elements of (n_line, n_output, n_input)."""
-    return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=(1, 2))))
+    return np.sqrt(np.mean(np.abs(values) ** 2, axis=(1, 2)))
 
 
 def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:

@@ -248,7 +248,7 @@ def orbit(amplitude: ComplexArray, n_point: int = 181) -> FloatArray:
     [f, b] e^{j theta}).
     """
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, n_point))
-    return np.asarray(((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real)
+    return ((FROM_DIRECTIONAL @ amplitude)[:, None] * turn).real
 
 
 def _orbit(path: FloatArray, name: str, colour: int) -> list[chart.Series]:

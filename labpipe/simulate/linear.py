@@ -36,7 +36,7 @@ def dynamic_stiffness(
     """
     k, c, m = (np.asarray(part, float) for part in (stiffness, damping, mass))
     w = np.reshape(omega, (-1, *[1] * k.ndim))
-    return np.asarray(k + 1j * w * c - w**2 * m)
+    return k + 1j * w * c - w**2 * m
 
 
 def receptance(
@@ -47,7 +47,7 @@ def receptance(
     """
     z = dynamic_stiffness(mass, stiffness, damping, 2 * np.pi * frequency)
     try:
-        return np.asarray(1 / z if z.ndim == 1 else np.linalg.inv(z))
+        return 1 / z if z.ndim == 1 else np.linalg.inv(z)
     except np.linalg.LinAlgError:
         hint = "as of a free body at 0 Hz, or without damping at a natural frequency"
         raise ConfigError("the response is infinite at a frequency line", hint=hint) from None
@@ -67,7 +67,7 @@ def white_noise(
         raise ConfigError(what, hint="widen the band, or make the run longer")
     spectrum[outside] = 0.0
     white = fft.irfft(spectrum, n_sample)
-    return np.asarray(white * (rms / np.std(white)))
+    return white * (rms / np.std(white))
 
 
 def lines_of(n_sample: int, sample_rate: float, settling: float = 0.0) -> tuple[int, FloatArray]:
@@ -82,7 +82,7 @@ def response(transfer: ComplexArray, force: FloatArray, length: int) -> FloatArr
     """DFT^-1 [H DFT F], (n_sample,): the response to *force* (n_sample,) [N], *transfer* (n_line,) [unit per
     N] on the lines of `lines_of`. Equation (sim-sweep).
     """
-    return np.asarray(fft.irfft(fft.rfft(force, length) * transfer, length)[: force.size])
+    return fft.irfft(fft.rfft(force, length) * transfer, length)[: force.size]
 
 
 def line_frequencies(force: Multisine) -> FloatArray:
@@ -112,7 +112,7 @@ def free_decay(
     """
     t = np.arange(displacement.size) / sample_rate
     omega = 2 * np.pi * frequency
-    return np.asarray(-displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t))
+    return -displacement[0] * np.exp(-damping_ratio * omega * t) * np.cos(omega * t)
 
 
 def sense(

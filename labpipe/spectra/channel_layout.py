@@ -183,7 +183,7 @@ class ChannelLayout:
         are made. DataError outside a sensor's table.
         """
         response = np.column_stack([sensor_response(channel, frequency) for channel in self.recorded])
-        return np.asarray(self.sums[None, :, :] / response[:, None, :])
+        return self.sums[None, :, :] / response[:, None, :]
 
     @property
     def sums(self) -> FloatArray:

@@ -203,7 +203,7 @@ def _fade(w: FloatArray, first: int) -> FloatArray:
     """Weights of lines at *w*: in from line *first* to twice that, out over TAPER of the band."""
     upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
     rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
-    return np.asarray(upper * 0.5 * (1 - np.cos(np.pi * rising)))
+    return upper * 0.5 * (1 - np.cos(np.pi * rising))
 
 
 def _level(u: ComplexArray) -> FloatArray:
@@ -291,7 +291,7 @@ def _average(values: ComplexArray | FloatArray) -> ComplexArray:
     total[..., HALF_WIDTH + 1 + number.size :] = total[..., HALF_WIDTH + number.size, None]
     mean = total[..., 2 * HALF_WIDTH + 1 :] - total[..., : number.size]
     mean /= count
-    return np.asarray(np.moveaxis(mean, -1, 0))
+    return np.moveaxis(mean, -1, 0)
 
 
 def _whitening(power: FloatArray) -> ComplexArray:
@@ -299,7 +299,7 @@ def _whitening(power: FloatArray) -> ComplexArray:
     covariance = _at_lags(power, ORDER + 1).real
     covariance[0] *= 1 + 1e-4
     coefficients = linalg.solve_toeplitz(covariance[:-1], covariance[1:])
-    return np.asarray(fft.rfft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1:])
+    return fft.rfft(np.concatenate([[1.0], -coefficients]), 2 * power.size)[1:]
 
 
 def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
@@ -307,13 +307,13 @@ def _at_lags(values: ComplexArray | FloatArray, number: int) -> ComplexArray:
     n = values.shape[0]
     padded = np.concatenate([np.zeros((1, *values.shape[1:])), values])
     transform = fft.fft if np.iscomplexobj(padded) else fft.rfft
-    return np.asarray(transform(padded, 2 * n, axis=0)[:number])
+    return transform(padded, 2 * n, axis=0)[:number]
 
 
 def _tukey(n: int) -> FloatArray:
     """1 with cosine ends, each ENDS / 2 of the record, (n,)."""
     place = np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / (ENDS / 2 * n)
-    return np.asarray(np.where(place < 1, 0.5 * (1 - np.cos(np.pi * np.minimum(place, 1.0))), 1.0))
+    return np.where(place < 1, 0.5 * (1 - np.cos(np.pi * np.minimum(place, 1.0))), 1.0)
 
 
 def feedback_of_periods(

@@ -215,7 +215,7 @@ def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
     a tenth of it, (n_sample,).
     """
     past = np.abs(np.arange(n_sample) - trigger) - length
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0)))
+    return 0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0))
 
 
 def exponential_window(n_sample: int, constant: float) -> FloatArray:

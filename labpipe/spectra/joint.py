@@ -94,7 +94,7 @@ def _from_neighbours(frequency: FloatArray, matrix: ComplexArray, gap: int) -> C
     enough = count >= FEWEST
     spread = np.where(enough, count * second - first**2, 1.0)[:, None]
     at_line = (second[:, None] * total - first[:, None] * moment) / spread
-    return np.asarray(np.where(enough[:, None], at_line, flat)).reshape(matrix.shape)
+    return np.where(enough[:, None], at_line, flat).reshape(matrix.shape)
 
 
 ESTIMATOR = "joint"

@@ -324,4 +324,4 @@ def _spectra(source: SampleSource, block: float) -> ComplexArray:
     n_sample = block_samples(source, block)
     samples = np.concatenate(list(checked_blocks(source)))
     whole = samples[: source.n_sample // n_sample * n_sample].reshape(-1, n_sample, samples.shape[1])
-    return np.asarray(fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2])
+    return fft.rfft(whole, axis=1)[:, 1 : (n_sample + 1) // 2]

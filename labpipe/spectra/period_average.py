@@ -113,7 +113,7 @@ class RestMotion:
         rounding = ROUNDING * np.max(np.abs(spectrum.mean), axis=0, initial=0.0)
         size = np.sqrt(power) * (1 + 1 / (spectrum.n_period - 1))
         over = (steady > size) | (single > np.sqrt(spectrum.n_period) * size)
-        return np.asarray(np.any(over & (single > rounding), axis=0))
+        return np.any(over & (single > rounding), axis=0)
 
 
 # A rig that starts from rest answers with its steady motion less a free one. The squares of the differences
@@ -156,7 +156,7 @@ class Differences:
         self._before = amplitude
 
     def _by_group(self, amplitude: ComplexArray) -> FloatArray:
-        return np.asarray(np.add.reduceat(np.abs(amplitude) ** 2, self.starts, axis=0))
+        return np.add.reduceat(np.abs(amplitude) ** 2, self.starts, axis=0)
 
     def further(self, columns: Sequence[int]) -> dict[int, tuple[int, float]]:
         """Of the channels *columns* that have not settled: how many more periods to skip, and the decay of
@@ -200,7 +200,7 @@ class Differences:
         spread = (np.sum(rest**2, axis=0) + scatter) / dof
         even = -slope * np.sqrt(np.sum(time**2) / spread) > -special.stdtrit(dof, CHANCE / logs[0].size)
         falls = first | (even & (-slope * n > LEAST_FALL))
-        return np.asarray(falls & np.all(logs[0] > logs[1:half], axis=0))
+        return falls & np.all(logs[0] > logs[1:half], axis=0)
 
 
 def is_unsettled(findings: Iterable[Finding]) -> bool:
@@ -425,7 +425,7 @@ def _broadband_lines(power: FloatArray, dof: float, half_width: int) -> BoolArra
     while True:
         neighbours = neighbourhood_mean(power, broadband, half_width, centre=False)
         count = _neighbourhood_count(broadband, half_width, centre=False)
-        limit = np.asarray(special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL))
+        limit = special.fdtri(2 * dof, 2 * dof * count, 1 - OUTLIER_LEVEL)
         # A line without remaining neighbours cannot be tested.
         outliers = np.any((power > limit[:, None] * neighbours) & (neighbours > 0), axis=1) & broadband
         if not np.any(outliers):

@@ -311,7 +311,7 @@ class Distortion:
         """sqrt(total^2 - noise^2), (n_frequency, n_output, n_input) [unit of the FRF]; least 0. Equation
         (frf-distortion).
         """
-        return np.asarray(np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0)))
+        return np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0))
 
 
 def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
@@ -485,7 +485,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         distortion=distortion / np.sqrt(m),
         # All were measured through the same sums.
         errors=tuple(
-            replace(of_one[0], change=np.asarray(np.mean([error.change for error in of_one], axis=0)))
+            replace(of_one[0], change=np.mean([error.change for error in of_one], axis=0))
             for of_one in zip(*(response.errors for response in responses), strict=True)
         ),
         change=_mean_of(responses, "change"),

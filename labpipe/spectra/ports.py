@@ -54,7 +54,7 @@ class Layout:
         outputs, inputs = (np.array(rows, np.complex128).T for rows in responses)
         factor = inputs[:, None, :] / outputs[:, :, None]
         motion = (2j * np.pi * frequency[:, None, None]) ** -self.derivatives if self.derivatives else 1.0
-        return np.asarray(factor * motion)
+        return factor * motion
 
     @property
     def one_force_each(self) -> bool:

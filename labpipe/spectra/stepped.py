@@ -255,7 +255,7 @@ def _of_frequency(
     if frequency.size > 1:
         slope[:] = np.gradient(flat, frequency, axis=0)
     variance = np.array([max(line.variance for line in row) for row in rows])
-    return np.asarray(slope[:, :, None] * slope[:, None, :].conj() * variance[:, None, None])
+    return slope[:, :, None] * slope[:, None, :].conj() * variance[:, None, None]
 
 
 def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
@@ -263,7 +263,7 @@ def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
         return noise
-    return np.asarray(neighbourhood_mean(noise * duration, np.ones(len(lines), bool), half_width) / duration)
+    return neighbourhood_mean(noise * duration, np.ones(len(lines), bool), half_width) / duration
 
 
 def _lines(

@@ -101,7 +101,7 @@ def _roots(force: FloatArray, before: IntArray, after: IntArray) -> FloatArray:
     centre = (size - 1) / 2
     level = np.add.reduceat(values, begins) / size
     slope = np.add.reduceat((number - np.repeat(centre, size)) * values, begins) * 12 / (size * (size**2 - 1))
-    return np.asarray(before + centre - level / slope)
+    return before + centre - level / slope
 
 
 def _straight_pieces(times: FloatArray, scatter: float) -> list[tuple[int, int]]:

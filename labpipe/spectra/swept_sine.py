@@ -186,7 +186,7 @@ def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
     for block, (start, stop) in zip(blocks, swept.cuts, strict=True):
         part = swept.samples[start : min(stop, start + n_sample)]
         block[: part.shape[0]] = part - part.mean(axis=0)
-    return np.asarray(fft.rfft(blocks, axis=1)[:, 1 : (n_sample + 1) // 2])
+    return fft.rfft(blocks, axis=1)[:, 1 : (n_sample + 1) // 2]
 
 
 def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sample: int) -> bool:
@@ -287,7 +287,7 @@ def _hidden(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatA
         for lines in (numbers[:near], numbers[-near:])
     ]
     is_low = np.arange(response.shape[0]) < numbers.mean()
-    return np.asarray(np.where(is_low[:, None], *shares) * response)
+    return np.where(is_low[:, None], *shares) * response
 
 
 # The end of a sweep that ends with its block: its frequency [Hz], and its amplitude [N] by the rate [Hz].

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.estimation.causes import late_channels, mass_p_value
+from labpipe.estimation.causes import late_channels, least_squares_at_delays, mass_p_value
 from labpipe.estimation.fitting import identify
+from labpipe.estimation.linear_models import SDOF
+from labpipe.estimation.model import Setup
+from labpipe.estimation.regression import equation_solution, regression
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit
@@ -173,6 +176,19 @@ def test_a_delay_of_more_than_a_quarter_period_is_found(sdof_response, delay: fl
     assert abs(float(value) - 1e3 * abs(delay)) < 4 * float(error) < 0.2
     stiffness, error = re.search(r"k = ([\d.]+) \+- ([\d.]+) kN/m", finding.message).groups()
     assert abs(1e3 * float(stiffness) - plain.parameter("k").value) < 4e3 * float(error)
+
+
+@pytest.mark.parametrize("mass", [MASS, "estimate"])
+def test_least_squares_at_a_delay_are_those_of_the_frf_turned_back(mass: float | str) -> None:
+    response = resonance(0.05, 4)
+    model = SDOF.model(Setup(*PORTS, FitSettings("sdof", mass=mass)))
+    delays = np.linspace(-0.1, 0.1, 9)
+    solved = least_squares_at_delays(measured(response), model, delays)
+    assert solved.shape == (9, len(model.names))
+    for delay, values in zip(delays, solved, strict=True):
+        back = response.matrix * np.exp(2j * np.pi * response.frequency * delay)[:, None, None]
+        equation = regression(measured(replace(response, matrix=back)), model, "none")
+        np.testing.assert_allclose(values, equation_solution(equation, model)[0], rtol=1e-9)
 
 
 @pytest.mark.long

@@ -50,7 +50,7 @@ class Noise:
 
     def variance(self, readings: ComplexArray) -> FloatArray:
         """Of the complex readings, both components together, (n_run,) [unit of the reading squared]."""
-        return np.asarray(2 * self.floor**2 + (self.share * np.abs(readings)) ** 2)
+        return 2 * self.floor**2 + (self.share * np.abs(readings)) ** 2
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ class Influence:
     def covariance(self) -> ComplexArray:
         """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [units of the mean]."""
         parts, turn = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape), np.array([1, 1j])
-        return np.asarray(np.einsum("p,pliqlj,q->lij", turn, parts, turn.conj()))
+        return np.einsum("p,pliqlj,q->lij", turn, parts, turn.conj())
 
     def variance_with(self, whole: ComplexArray) -> FloatArray:
         """Of z_0 + alpha w (n_line,) [unit of the readings squared], *whole* (1, w)."""
-        return np.asarray((self.covariance @ whole.conj() @ whole).real)
+        return (self.covariance @ whole.conj() @ whole).real
 
     @property
     def square(self) -> ComplexArray:
@@ -88,7 +88,7 @@ class Influence:
         """Drawn z_0 and alpha, (n, n_line, n_plane + 1) [unit of the readings, per kg m]."""
         normal = np.random.default_rng(SEED).standard_normal((n, 2 * self.mean.size))
         real, imaginary = np.split(normal @ root_of(self.joint).T, 2, axis=1)
-        return np.asarray(self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape))
+        return self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape)
 
     def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
         """With the mean moved by *gain* (n, 2 n_reading) [1, per kg m] times the *surprise* (..., n_reading)
@@ -165,14 +165,14 @@ def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None)
 def square_of(drawn: ComplexArray) -> ComplexArray:
     """Q of draws of z_0 and alpha (n, n_line, n_plane + 1) [unit of the readings, per kg m], summed."""
     rows = drawn.reshape(-1, drawn.shape[-1])
-    return np.asarray(rows.conj().T @ rows)
+    return rows.conj().T @ rows
 
 
 def best_weights(square: ComplexArray) -> ComplexArray:
     """w = -A^-1 b (..., n_plane) [kg m] of the blocks of a *square* (..., n_plane + 1, n_plane + 1), which
     they make least. Equation (system-balance).
     """
-    return np.asarray(-np.linalg.solve(square[..., 1:, 1:], square[..., 1:, :1])[..., 0])
+    return -np.linalg.solve(square[..., 1:, 1:], square[..., 1:, :1])[..., 0]
 
 
 def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
@@ -180,7 +180,7 @@ def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
     + 1), with *weights* w (n_plane,) [kg m].
     """
     left = drawn @ np.concatenate([[1.0], weights])
-    return np.asarray(np.sqrt(np.mean(np.abs(left) ** 2, axis=-1)))
+    return np.sqrt(np.mean(np.abs(left) ** 2, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -267,7 +267,7 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Re
 
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
     """pinv(alpha) z_0 of draws, (n, n_plane) [kg m]."""
-    return np.asarray((np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0])
+    return (np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0]
 
 
 def most_unbalance(knowledge: Influence, weights: ComplexArray) -> FloatArray:
@@ -305,7 +305,7 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
     errors = drawn @ whole - middle
     n_line, n_plane = middle.size, whole.size - 1
     if n_line <= n_plane or knowledge.modelled:
-        return np.asarray(middle + errors)
+        return middle + errors
     basis = np.linalg.svd(knowledge.mean[:, 1:], full_matrices=False)[0]
     within = errors @ basis.conj() @ basis.T
     beyond, fixed = errors - within, middle - basis @ (basis.conj().T @ middle)
@@ -314,7 +314,7 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
     noise = float(np.mean(np.sum(np.abs(beyond) ** 2, axis=1))) / n_free
     size = np.sum(np.abs(fixed) ** 2) / np.random.default_rng(SEED + 3).gamma(n_free, size=drawn.shape[0])
     share = np.maximum(1 - noise / np.maximum(size, 1e-300), 0.0)[:, None]
-    return np.asarray(middle - fixed + within + share * fixed + np.sqrt(share) * beyond)
+    return middle - fixed + within + share * fixed + np.sqrt(share) * beyond
 
 
 def _unreached(knowledge: Influence) -> ComplexArray:
@@ -326,7 +326,7 @@ def _unreached(knowledge: Influence) -> ComplexArray:
     excess = float(np.sum(np.abs(left) ** 2))
     if n_free < 1 or excess <= n_free:
         return 0 * left
-    return np.asarray(left * deviation * np.sqrt(1 - n_free / excess))
+    return left * deviation * np.sqrt(1 - n_free / excess)
 
 
 def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:

@@ -63,7 +63,7 @@ def _part(shown: DynamicStiffness, i: int, j: int, which: int) -> Panel:
     name, part = PARTS[which]
 
     def values(h: ComplexArray) -> FloatArray:
-        return np.asarray(MEGA * part(h[:, i, j]))
+        return MEGA * part(h[:, i, j])
 
     series: list[Series] = []
     if shown.frequency.size:

@@ -204,7 +204,7 @@ def response_of(whiten: Respond, columns: FloatArray) -> Callable[[ComplexArray]
     gain = -np.linalg.pinv(unit) / scale[:, None]
 
     def respond(errors: ComplexArray) -> FloatArray:
-        return np.asarray(real_rows(whiten(errors).reshape(len(errors), -1)) @ gain.T)
+        return real_rows(whiten(errors).reshape(len(errors), -1)) @ gain.T
 
     return respond
 
@@ -256,7 +256,7 @@ class SmearedBalance:
 
     def motion_per_force(self, stiffness: Stiffness, omega: FloatArray, ratio: ComplexArray) -> ComplexArray:
         """(H - side * ratio)^-1 (n, 2, 2) [m/N] at omega (n,) [rad/s]; *ratio* (n, 2, 2) [1/s^2] there."""
-        return np.asarray(np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio))
+        return np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio)
 
     def shown(self, stiffness: Stiffness) -> ComplexArray:
         """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H. Equation
@@ -275,7 +275,7 @@ class SmearedBalance:
         accelerated = self.given.absolute and self.stator.accelerated
         seen = squared if accelerated else np.ones_like(squared)
         mean_force = np.einsum("p,lpij->lij", weights, forces)
-        return np.asarray(mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved)))
+        return mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved))
 
     def corrected(self, balance: Balance, stiffness: Stiffness) -> Balance:
         leaked = self.shown(stiffness) - stiffness(balance.omega)

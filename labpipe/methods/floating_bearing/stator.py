@@ -107,7 +107,7 @@ def _to_axes(spectra: ChannelSpectra, columns: Sequence[int], quantity: str) -> 
         listed = ", ".join(f"{channel.name} ({channel.dof})" for channel in channels)
         what = f"{quantity} channels {listed} do not give the motion in x and in y"
         raise ConfigError(what, hint=_missing_channels(quantity))
-    return np.asarray(np.linalg.pinv(directions.T))
+    return np.linalg.pinv(directions.T)
 
 
 def _missing_channels(quantity: str) -> str:

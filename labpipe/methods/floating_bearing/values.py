@@ -147,7 +147,7 @@ def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
     Equation (ds-forward).
     """
     direct = stiffness[..., 0, 0] + stiffness[..., 1, 1]
-    return np.asarray((direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2)
+    return (direct - 1j * sense * (stiffness[..., 0, 1] - stiffness[..., 1, 0])) / 2
 
 
 def effective(

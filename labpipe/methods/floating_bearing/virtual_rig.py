@@ -241,7 +241,7 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
         relative = jw / (2 * np.pi * pad.frequency)
         reduced = (pad.stiffness + jw * pad.damping) / (1 + 2 * pad.damping_ratio * relative + relative**2)
         dynamic = dynamic + reduced * np.eye(2)
-    return np.asarray(dynamic)
+    return dynamic
 
 
 def motions(
@@ -292,11 +292,11 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
 def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
     spectrum[lines] = amplitudes * (rig.n_sample / 2)
-    return np.asarray(fft.irfft(spectrum, rig.n_sample, axis=0))
+    return fft.irfft(spectrum, rig.n_sample, axis=0)
 
 
 def _angle(rig: FloatingRig, speed: float) -> FloatArray:
-    return np.asarray(2 * np.pi * speed * np.arange(rig.n_sample) / rig.sample_rate)
+    return 2 * np.pi * speed * np.arange(rig.n_sample) / rig.sample_rate
 
 
 def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatArray:

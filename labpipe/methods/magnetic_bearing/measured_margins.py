@@ -69,7 +69,7 @@ class Course:
             else chi2_quantile(1 - ENOUGH, degrees) / degrees
         )
         rounding = ROUNDING**2 * np.sum(np.abs(plain) ** 2, axis=1)
-        return np.asarray(np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding))
+        return np.sum(np.abs(left) ** 2, axis=1) <= np.maximum(limit * expected, rounding)
 
     def follow(self, lines: slice) -> bool:
         """Whether a parabola leaves no more than noise of these lines."""

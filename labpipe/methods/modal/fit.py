@@ -316,7 +316,7 @@ def _weight(measured: Measured, factor: ComplexArray) -> FloatArray:
         return np.ones(measured.omega.size)
     assert measured.variance is not None
     variance = measured.variance * np.abs(factor[:, None]) ** 2
-    return np.asarray(1 / np.sqrt(np.mean(variance / np.mean(variance, axis=0), axis=1)))
+    return 1 / np.sqrt(np.mean(variance / np.mean(variance, axis=0), axis=1))
 
 
 def _turn(measured: Measured) -> Measured:

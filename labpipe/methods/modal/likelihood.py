@@ -82,11 +82,11 @@ class ResidualTerms:
             for _ in range(2):
                 column = column - basis @ (basis.conj().T @ column)
             basis = np.column_stack([basis, column / np.linalg.norm(column)])
-        return np.asarray(basis)
+        return basis
 
     def without(self, values: ComplexArray) -> ComplexArray:
         """*values* (n_line, n) [any unit] less what the terms can make of them with complex factors."""
-        return np.asarray(values - self.basis @ (self.basis.conj().T @ values))
+        return values - self.basis @ (self.basis.conj().T @ values)
 
     @cached_property
     def remainder(self) -> ComplexArray:
@@ -97,7 +97,7 @@ class ResidualTerms:
     @cached_property
     def size(self) -> FloatArray:
         """Sum over the lines of |remainder|^2, (n_output, n_input) [square of the FRF's unit]."""
-        return np.asarray(np.sum(np.abs(self.remainder) ** 2, axis=0))
+        return np.sum(np.abs(self.remainder) ** 2, axis=0)
 
 
 MOST_STEPS = 200
@@ -323,7 +323,7 @@ def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
     pairs = terms.without(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]
     coefficients = _coefficients(refined.participation, refined.shapes)
-    return np.asarray(terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients))
+    return terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients)
 
 
 def by_lines(terms: ResidualTerms, refined: Refined, shared: float = 1.0, *, real: bool = False) -> Refined:
@@ -389,7 +389,7 @@ def pseudo_inverse(normal: FloatArray) -> FloatArray:
     scale = np.sqrt(np.maximum(diagonal, ROUNDING * np.max(diagonal)))
     values, vectors = np.linalg.eigh(normal / (scale[:, None] * scale))
     keep = values > ROUNDING * values[-1]
-    return np.asarray((vectors[:, keep] / values[keep]) @ vectors[:, keep].T / (scale[:, None] * scale))
+    return (vectors[:, keep] / values[keep]) @ vectors[:, keep].T / (scale[:, None] * scale)
 
 
 def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
@@ -401,7 +401,7 @@ def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
 def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
     pairs = pole_functions(lines.s, poles, lines.hysteretic)
     columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(lines.omega.size, -1) for a, b in pairs]
-    return np.asarray(np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None])
+    return np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None]
 
 
 def pole_functions(

@@ -80,7 +80,7 @@ def shape_errors(refined: Refined) -> FloatArray:
     variance = alone + np.abs(ratio) ** 2 * alone[largest, modes]
     variance += np.sum((slopes @ refined.covariance) * slopes.conj(), axis=-1).real
     variance[largest, modes] = 0.0
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)) / np.abs(scale))
+    return np.sqrt(np.maximum(variance, 0.0)) / np.abs(scale)
 
 
 def phase_collinearity(shapes: ComplexArray) -> FloatArray:
@@ -92,7 +92,7 @@ def phase_collinearity(shapes: ComplexArray) -> FloatArray:
     """
     xx, yy = np.sum(shapes.real**2, axis=0), np.sum(shapes.imag**2, axis=0)
     xy = np.sum(shapes.real * shapes.imag, axis=0)
-    return np.asarray(((xx - yy) ** 2 + 4 * xy**2) / (xx + yy) ** 2)
+    return ((xx - yy) ** 2 + 4 * xy**2) / (xx + yy) ** 2
 
 
 Function = Callable[[FloatArray], float]
@@ -473,7 +473,7 @@ def _near(measured: Measured, pole: complex) -> BoolArray:
     if np.count_nonzero(near) < FEWEST:
         near = np.zeros(frequency.size, np.bool_)
         near[np.argsort(away)[:FEWEST]] = True
-    return np.asarray(near)
+    return near
 
 
 def _widen(measured: Measured, pole: complex) -> tuple[float, float] | None:

@@ -54,7 +54,7 @@ class MovedMode:
     @property
     def reference(self) -> ComplexArray:
         """Participation (n_reference,) [1] that holds most of the residues."""
-        return np.asarray(np.linalg.svd(self.residues, full_matrices=False)[2][0])
+        return np.linalg.svd(self.residues, full_matrices=False)[2][0]
 
     @property
     def pole(self) -> complex:
@@ -74,7 +74,7 @@ class MovedMode:
     def _is_seen(self) -> BoolArray:
         size = np.linalg.norm(self.residues, axis=1)
         near = np.abs(self.poles - self.pole) < FARTHEST * -2 * self.pole.real
-        return np.asarray((size > HARDLY * np.max(size)) & near & (self.poles.real < 0))
+        return (size > HARDLY * np.max(size)) & near & (self.poles.real < 0)
 
     def aligned(self, s: ComplexArray) -> ComplexArray:
         """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
@@ -83,7 +83,7 @@ class MovedMode:
         point_poles = np.where(self._is_seen, self.poles, self.pole)
         (a, b), _ = pole_functions(s, np.append(point_poles, self.pole), hysteretic=False)
         change = np.einsum("lp,pr->lpr", a[:, -1:] - a[:, :-1], self.residues)
-        return np.asarray(change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj()))
+        return change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj())
 
     def of_a_point(self) -> tuple[tuple[float, float], ...]:
         """Ends of ln f_n and ln zeta of another point, mean +- t s sqrt(1 + 1/n) of those that show it; none
@@ -249,7 +249,7 @@ def _solve(s: ComplexArray, frfs: ComplexArray, poles: ComplexArray) -> tuple[Co
 
 
 def _squares(left: ComplexArray) -> FloatArray:
-    return np.asarray(np.maximum(np.sum(np.abs(left) ** 2, axis=0), np.finfo(float).tiny))
+    return np.maximum(np.sum(np.abs(left) ** 2, axis=0), np.finfo(float).tiny)
 
 
 def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexArray:
@@ -258,7 +258,7 @@ def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexAr
 
     def poles(moves: FloatArray) -> ComplexArray:
         decay, frequency = moves.reshape(2, -1)
-        return np.asarray(start.real * np.exp(decay) + 1j * (start.imag + unit * frequency))
+        return start.real * np.exp(decay) + 1j * (start.imag + unit * frequency)
 
     def cost(moves: FloatArray) -> tuple[float, FloatArray]:
         """With its slopes: what is left is orthogonal to the columns, so amounts need not move with poles."""

@@ -134,12 +134,12 @@ def _solve(matrix: FloatArray, right_side: FloatArray) -> FloatArray:
     try:
         diagonal = np.diag(np.linalg.cholesky(matrix))
         if diagonal.min() ** 2 > ROUNDING * diagonal.max() ** 2:
-            return np.asarray(np.linalg.solve(matrix, right_side))
+            return np.linalg.solve(matrix, right_side)
     except np.linalg.LinAlgError:
         pass
     values, vectors = np.linalg.eigh(matrix)
     keep = values > ROUNDING * values[-1]
-    return np.asarray(vectors[:, keep] @ ((vectors[:, keep].T @ right_side) / values[keep, None]))
+    return vectors[:, keep] @ ((vectors[:, keep].T @ right_side) / values[keep, None])
 
 
 def _roots(coefficients: FloatArray) -> ComplexArray:
@@ -160,7 +160,7 @@ def _null_vectors(coefficients: FloatArray, roots: ComplexArray) -> ComplexArray
     powers = roots[:, None] ** (np.arange(order + 1) - order * (np.abs(roots) > 1)[:, None])
     every = np.concatenate([coefficients, np.eye(n)[None]]).reshape(order + 1, n * n)
     transposed = (powers @ every).reshape(-1, n, n).swapaxes(1, 2)
-    return np.asarray(np.linalg.svd(transposed)[2][:, -1].conj())
+    return np.linalg.svd(transposed)[2][:, -1].conj()
 
 
 # Two poles of different orders are one mode where they differ by less than half the decay rate and a share of
@@ -342,7 +342,7 @@ def _even(flat: ComplexArray) -> ComplexArray:
     counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
     sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
     around = np.stack(sums, axis=1) / counts[:, None]
-    return np.asarray(flat / np.sqrt(np.maximum(around, np.finfo(float).tiny)))
+    return flat / np.sqrt(np.maximum(around, np.finfo(float).tiny))
 
 
 # Number of residual terms by the information criterion, grown one term at a time from the refined modes.
@@ -504,7 +504,7 @@ def _with_one_more(done: Completed, correlation: tuple[complex, ...]) -> Complet
         pole += 1j * decay
     width = max(3, n_wide)
     part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
-    participation = np.asarray(np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0])
+    participation = np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     sound = again.converged and _distinct(again) and np.all(_standing(lines, again))

@@ -85,13 +85,13 @@ class ModalReceptance:
     @cached_property
     def basis(self) -> ComplexArray:
         """Residual terms of the receptance, (n_line, n_term) [m/N per factor]."""
-        return np.asarray(self.terms.basis / self._form[:, None])
+        return self.terms.basis / self._form[:, None]
 
     @property
     def _form(self) -> ComplexArray:
         """Factor (n_line,) from the receptance to the weighted FRF of the measured form."""
         lines = self.terms.lines
-        return np.asarray(lines.s**lines.power * lines.weight)
+        return lines.s**lines.power * lines.weight
 
     def split(self, parameters: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """Poles (n_mode,) [rad/s], participation (n_mode, n_input), shapes (n_output, n_mode), factors
@@ -118,7 +118,7 @@ class ModalReceptance:
         factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
         free = refined.participation[self._free]
         values = np.concatenate([refined.poles, free, refined.shapes.ravel(), factors.ravel()])
-        return np.asarray(np.stack([values.real, values.imag], axis=-1).ravel()[self.free])
+        return np.stack([values.real, values.imag], axis=-1).ravel()[self.free]
 
     @cached_property
     def _free(self) -> tuple[IntArray, IntArray]:
@@ -132,7 +132,7 @@ class ModalReceptance:
     ) -> ComplexArray:
         a, b = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)[0]
         residue = shapes[:, None, :] * participation.T[None]
-        return np.asarray(np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj()))
+        return np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj())
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H (n_line, n_output, n_input) [m/N]."""
@@ -156,7 +156,7 @@ class ModalReceptance:
         for output, column in np.ndindex(self.n_output, self.n_input):
             for term in self.basis.T:
                 next(place)[:, :, output, column] = term, 1j * term
-        return np.asarray(slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free])
+        return slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free]
 
 
 def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArray:

@@ -36,7 +36,7 @@ def variances(information: FloatArray, wanted: FloatArray | None = None) -> Floa
     unless given. Equation (plan-variances).
     """
     inverse = np.linalg.inv(information)
-    return np.asarray(np.diagonal(inverse) if wanted is None else _along(inverse, wanted))
+    return np.diagonal(inverse) if wanted is None else _along(inverse, wanted)
 
 
 def _along(inverse: FloatArray, wanted: FloatArray) -> FloatArray:

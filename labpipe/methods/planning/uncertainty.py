@@ -300,7 +300,7 @@ def _amplitudes(rig: campaigns.Rig, test: campaigns.Multisines, channel: Channel
         return test.forces[:, shaker]
     along = rig.motion(test) @ _direction(channel, rig.model.n_dof)
     if channel.quantity == "displacement":
-        return np.asarray(along)
+        return along
     if channel.quantity == "acceleration":
         return -(rig.omega(test) ** 2) * along
     what = f"the plan states no noise of {channel.name}, a {channel.quantity}"

@@ -45,7 +45,7 @@ def amplitude(time: FloatArray, first: float, omega: float, rest: float, slope: 
     (decay-law).
     """
     decay = np.exp(-rest * omega * time)
-    return np.asarray(first * decay / (1 + slope * first * omega * time * _relative(rest * omega * time)))
+    return first * decay / (1 + slope * first * omega * time * _relative(rest * omega * time))
 
 
 def _relative(x: FloatArray) -> FloatArray:
@@ -62,7 +62,7 @@ def travel(time: FloatArray, first: float, omega: float, rest: float, slope: flo
     bent = slope * omega * linear
     safe = np.where(np.abs(bent) < 1e-9, 1.0, bent)
     share = np.where(np.abs(bent) < 1e-9, 1.0, np.log1p(np.maximum(safe, -0.999999)) / safe)
-    return np.asarray(linear * share)
+    return linear * share
 
 
 class _Problem:
@@ -112,7 +112,7 @@ class _Problem:
         size = amplitude(piece.time, first, omega, rest, slope)
         angle = omega * piece.time + turn * travel(piece.time, first, omega, rest, slope) + phase
         rows = piece.project((size * np.cos(angle))[:, None])[:, 0]
-        return np.asarray(piece.free(rows) / self.deviation[number])
+        return piece.free(rows) / self.deviation[number]
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         pairs = zip(self.targets, self.deviation, strict=True)
@@ -209,7 +209,7 @@ def _in_time(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
     half = piece.lines.size
     spectrum = np.zeros(piece.time.size // 2 + 1, np.complex128)
     spectrum[piece.lines] = (residual[:half] + 1j * residual[half:]) * np.sqrt(piece.time.size / 2)
-    return np.asarray(np.fft.irfft(spectrum, piece.time.size))
+    return np.fft.irfft(spectrum, piece.time.size)
 
 
 def over_amplitude(

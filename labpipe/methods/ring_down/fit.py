@@ -236,7 +236,7 @@ class _Fitted:
     def course(self, number: int, output: int) -> FloatArray:
         """All modes together (n_sample,) [unit of the output]."""
         course = np.exp(self.pieces[number].time[:, None] * self.fit.poles_of(number))
-        return np.asarray((course @ self.fit.pieces[number].amplitudes[:, output]).real)
+        return (course @ self.fit.pieces[number].amplitudes[:, output]).real
 
     def offset(self, number: int, output: int) -> float:
         """Of an output: the mean of what neither the modes nor the residual are."""

@@ -45,7 +45,7 @@ class Piece:
 
     def free(self, rows: FloatArray) -> FloatArray:
         """*rows* (n_row, ...) [any unit] without what the nuisance explains."""
-        return np.asarray(rows - self._range @ (self._range.T @ rows))
+        return rows - self._range @ (self._range.T @ rows)
 
     def project(self, columns: FloatArray) -> FloatArray:
         """The rows (n_row, n) of functions of time (n_sample, n) [any unit]: orthonormal, so that noise keeps
@@ -60,7 +60,7 @@ class Piece:
         if self.lines is None:
             return rows.astype(np.complex128)
         half = self.lines.size
-        return np.asarray(fft.ifft(rows[:half] + 1j * rows[half:], axis=0) * np.sqrt(half))
+        return fft.ifft(rows[:half] + 1j * rows[half:], axis=0) * np.sqrt(half)
 
 
 def _rows(columns: FloatArray, lines: IntArray | None) -> FloatArray:
@@ -386,7 +386,7 @@ def pencil_poles(
         factors = np.linalg.lstsq(both, samples, rcond=None)[0]
         sizes = np.hypot(factors[: steps.size], factors[steps.size :])
         energy += sizes**2 * np.sum(np.abs(course) ** 2, axis=0)
-    return np.asarray(poles[np.argsort(-energy)[:n_mode]])
+    return poles[np.argsort(-energy)[:n_mode]]
 
 
 def _decimate(
@@ -499,7 +499,7 @@ def _orthonormal(columns: FloatArray, sizes: FloatArray | None = None) -> FloatA
     """Orthonormal columns of the same range; those that are nothing against *sizes* (n,) are left out."""
     scale = np.linalg.norm(columns, axis=0) if sizes is None else sizes
     vectors, singular, _ = np.linalg.svd(columns / np.where(scale > 0, scale, 1.0), full_matrices=False)
-    return np.asarray(vectors[:, singular > DEPENDENT])
+    return vectors[:, singular > DEPENDENT]
 
 
 def portmanteau(residuals: Sequence[ComplexArray], real: bool) -> float:

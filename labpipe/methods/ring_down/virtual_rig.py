@@ -94,7 +94,7 @@ def _slipping(rig: DecayRig, time: FloatArray, strength: float) -> FloatArray:
     """
     omega, rest = 2 * np.pi * rig.frequencies[0], max(rig.damping_ratios[0], 1e-9)
     decay = np.exp(-rest * omega * time)
-    return np.asarray(rest * decay / (rest + rig.joint * strength * (1 - decay)) * np.sin(omega * time))
+    return rest * decay / (rest + rig.joint * strength * (1 - decay)) * np.sin(omega * time)
 
 
 def truth(rig: DecayRig, names: Sequence[str] = RUNS) -> dict[str, float]:

@@ -322,7 +322,7 @@ def transfer_matrix(
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
     dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
-        return np.asarray(np.linalg.inv(dynamic))
+        return np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:
         hint = "give a damping factor, or leave out 0 Hz"
         raise FitError("the dynamic stiffness is singular at a line", hint=hint) from None

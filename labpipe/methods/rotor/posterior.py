@@ -138,7 +138,7 @@ class Posterior(Generic[Model]):
         """(sum J^T J + P)^-1 of the free unknowns, (n_free, n_free) [products of their units]."""
         scale = np.sqrt(np.diag(self._information))
         covariance = np.linalg.inv(self._information / np.outer(scale, scale)) / np.outer(scale, scale)
-        return np.asarray((covariance + covariance.T) / 2)
+        return (covariance + covariance.T) / 2
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -191,7 +191,7 @@ def root_of(covariance: FloatArray) -> FloatArray:
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0)))
+    return scale[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0))
 
 
 def rank_of(slopes: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -173,7 +173,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
 
 def decrements(roots: ComplexArray) -> FloatArray:
     """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s]."""
-    return np.asarray(-2 * np.pi * roots.real / roots.imag)
+    return -2 * np.pi * roots.real / roots.imag
 
 
 def followed(
@@ -225,7 +225,7 @@ def _likeness(shape: ComplexArray, root: complex, others: ComplexArray, roots: C
     overlap = np.abs(others.conj() @ shape) ** 2
     alike = overlap / (np.sum(np.abs(others) ** 2, axis=1) * np.sum(np.abs(shape) ** 2))
     near = np.log(np.abs(roots) / np.abs(root)) / FREQUENCY_STEP
-    return np.asarray(alike * np.exp(-(near**2) / 2))
+    return alike * np.exp(-(near**2) / 2)
 
 
 def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTheory:
@@ -244,7 +244,7 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
             ]
         ).reshape(speeds.size, len(nodes), 2)
         # The major semi-axis of an orbit is the sum of its two circles.
-        return np.asarray(np.sum(np.abs(response.forward_backward_motion(motion)), axis=2))
+        return np.sum(np.abs(response.forward_backward_motion(motion)), axis=2)
 
     def of_node(n: int) -> AmplitudeAt:
         return lambda speeds: amplitudes(speeds)[:, n]

@@ -65,7 +65,7 @@ class Theory:
                 weights += [(entry.above, (at + at**2) / 2), (entry.below, (at**2 - at) / 2)]
             parts = [weight * self._at(bearing, matrix, spin, omega) for bearing, weight in weights if weight]
             values = np.sum(parts, axis=0)
-        return np.asarray(spread * np.tile(values, (spread.shape[0] // 2,) * 2))
+        return spread * np.tile(values, (spread.shape[0] // 2,) * 2)
 
     @cached_property
     def _changes(self) -> FloatArray | None:
@@ -98,7 +98,7 @@ class Theory:
         # Its x is along the load, its y a quarter turn further with the spin.
         y, z = np.array(self.load) / weight
         turn = np.array([[y, -z], [z, y]])
-        return np.asarray(turn @ both[matrix == "damping"] @ turn.T)
+        return turn @ both[matrix == "damping"] @ turn.T
 
     def _at(self, bearing: Bearing, matrix: str, spin: FloatArray, omega: FloatArray) -> FloatArray:
         if isinstance(bearing, MountedBearing) and bearing.kind.dynamic is not None:
@@ -538,4 +538,4 @@ class _Builder:
 
 
 def _turning(block: FloatArray, spin: FloatArray, _omega: FloatArray, _inputs: FloatArray) -> FloatArray:
-    return np.asarray(block * (np.asarray(spin) != 0)[..., None, None])
+    return block * (np.asarray(spin) != 0)[..., None, None]

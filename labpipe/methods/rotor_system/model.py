@@ -318,7 +318,7 @@ class SystemModel:
         root, spin = np.asarray(root), np.asarray(spin)
 
         def factor(power: IntArray | int, turns: IntArray | int) -> ComplexArray:
-            return np.asarray((root**power * spin**turns)[..., None, None])
+            return (root**power * spin**turns)[..., None, None]
 
         for stack in self._stacks:
             kept = acting[stack.numbers] & (supported | ~stack.support)
@@ -536,12 +536,12 @@ def orthonormal(shapes: FloatArray, least: float) -> FloatArray:
     singular value [1] of the shapes at length 1.
     """
     basis, size, _ = linalg.svd(shapes / np.linalg.norm(shapes, axis=0), full_matrices=False)
-    return np.asarray(basis[:, size > least * size[0]])
+    return basis[:, size > least * size[0]]
 
 
 def between(left: ComplexArray, matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
     """p^H A v (n_mode,) [any unit] of vectors (n_mode, n_dof, 1) and matrices (n_mode, n_dof, n_dof)."""
-    return np.asarray((adjoint(left) @ matrices @ right)[:, 0, 0])
+    return (adjoint(left) @ matrices @ right)[:, 0, 0]
 
 
 def bent(straight: ComplexArray, by_omega: ComplexArray) -> ComplexArray:

@@ -102,12 +102,12 @@ class SystemPosterior(Posterior[SystemModel]):
         if self.refits is None:
             return self.covariance
         off = self.refits - self.values
-        return np.asarray(off.T @ off / len(off))
+        return off.T @ off / len(off)
 
     @property
     def standard_errors(self) -> FloatArray:
         """(n_unknown,) [unit of each]."""
-        return np.asarray(np.sqrt(np.diag(self.spread)))
+        return np.sqrt(np.diag(self.spread))
 
     @property
     def shares(self) -> FloatArray:
@@ -136,7 +136,7 @@ class SystemPosterior(Posterior[SystemModel]):
     def gradient_error(self, gradient: FloatArray) -> FloatArray:
         """Standard errors (...,) [unit of the prediction] of predictions with *gradient* (..., n_unknown)."""
         variance = np.einsum("...i,ij,...j->...", gradient, self.spread, gradient)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.sqrt(np.maximum(variance, 0.0))
 
     def covariance_with(self, test: SystemEvidence) -> FloatArray:
         """The covariance with one more *test*, (F + J^T J)^-1, (n_unknown, n_unknown) [unit of each]."""
@@ -155,7 +155,7 @@ def normal_draws(values: FloatArray, covariance: FloatArray, n_draw: int, seed: 
     each].
     """
     normal = np.random.default_rng(seed).standard_normal((n_draw, values.size))
-    return np.asarray(values + normal @ root_of(covariance).T)
+    return values + normal @ root_of(covariance).T
 
 
 def fit_system(

@@ -85,7 +85,7 @@ def decrement_slopes(root: ComplexArray, slopes: ComplexArray) -> FloatArray:
     (n_mode, n_unknown).
     """
     moved = 2 * np.pi * slopes.real + decrements(root)[:, None] * slopes.imag
-    return np.asarray(-moved / root.imag[:, None])
+    return -moved / root.imag[:, None]
 
 
 def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | None:
@@ -159,7 +159,7 @@ class _Reduced:
         (stiffness,) = self.model.dynamic(values, omega, omega)
         turned = self.basis.T @ forces * omega[:, None] ** 2
         motion = np.linalg.solve(stiffness, turned[:, :, None])[:, :, 0]
-        return np.asarray(np.abs(motion @ self.basis[list(outputs)].T))
+        return np.abs(motion @ self.basis[list(outputs)].T)
 
     def at(self, values: FloatArray, forces: ComplexArray, output: int) -> AmplitudeAt:
         """The same at one *output*, over the speed alone."""

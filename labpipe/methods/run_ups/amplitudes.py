@@ -312,7 +312,7 @@ class Amplitudes:
         def squares(factors: FloatArray, chosen: IntArray) -> FloatArray:
             place = chosen % start.shape[0]
             misfit = self.computed(start[place] * factors, place) - self.measured[place]
-            return np.asarray(np.sum(misfit**2, axis=-1))
+            return np.sum(misfit**2, axis=-1)
 
         return squares
 

@@ -240,7 +240,7 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
     @property
     def whole_covariance(self) -> FloatArray:
         """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the probes."""
-        return np.asarray(self.widening**2 * self.covariance + self.systematic.T @ self.systematic)
+        return self.widening**2 * self.covariance + self.systematic.T @ self.systematic
 
     def parameter(self, name: str) -> Uncertain:
         """The factor exp(value) on the rotor file's value; of the two slopes the exponent itself."""

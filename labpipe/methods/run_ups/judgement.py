@@ -228,7 +228,7 @@ def _roughness(x: FloatArray) -> FloatArray:
         gram[at, at] = (step[at] + step[at + 1]) / 3
         if at:
             gram[at, at - 1] = gram[at - 1, at] = step[at] / 6
-    return np.asarray(second @ np.linalg.solve(gram, second.T))
+    return second @ np.linalg.solve(gram, second.T)
 
 
 def _cross_validation(smoother: FloatArray, readings: ComplexArray, weight: FloatArray) -> float:

@@ -254,7 +254,7 @@ def _by_speed(
     total = np.add.reduceat(weight, starts)
     means = np.asarray(np.add.reduceat(weight * response[order], starts) / total, np.complex128)
     middle = np.add.reduceat(speed[order], starts) / np.diff([*starts, speed.size])
-    return middle, means, np.asarray(total**-0.5)
+    return middle, means, total**-0.5
 
 
 def difference(

@@ -155,13 +155,13 @@ class ResponseSurface(WithinExtent):
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        return np.asarray(_terms(self.extent.coded(load, speed)) @ self.beta)
+        return _terms(self.extent.coded(load, speed)) @ self.beta
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Of a new point (n_point, 8) [N/m, N s/m]: of the surface and of points about it."""
         terms = _terms(self.extent.coded(load, speed))
         leverage = np.einsum("ni,ij,nj->n", terms, self.inverse, terms)
-        return np.asarray(np.sqrt(1 + leverage)[:, None] * self.spread)
+        return np.sqrt(1 + leverage)[:, None] * self.spread
 
     def to_entries(self) -> dict[str, Any]:
         return {
@@ -245,7 +245,7 @@ class PhysicalFit:
         """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
         places = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
         _, slopes = self.family.coefficients_and_slopes(self.values, *(np.ravel(place) for place in places))
-        return np.asarray(np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)))
+        return np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes))
 
     def to_entries(self) -> dict[str, Any]:
         return {

@@ -180,18 +180,18 @@ class Network(metamodel_kinds.WithinExtent):
         scaled = [
             np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
         ]
-        return np.asarray(self.middle + self.deviation * np.array(scaled))
+        return self.middle + self.deviation * np.array(scaled)
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The mean of the repeats (n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        return np.asarray(self.repeat_predictions(load, speed).mean(axis=0))
+        return self.repeat_predictions(load, speed).mean(axis=0)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Deviation of the repeats (n_point, 8) [N/m, N s/m]; NaN of a single one."""
         repeats = self.repeat_predictions(load, speed)
         if len(self.repeats) < 2:
             return np.full(repeats.shape[1:], np.nan)
-        return np.asarray(repeats.std(axis=0, ddof=1))
+        return repeats.std(axis=0, ddof=1)
 
     def to_entries(self) -> dict[str, Any]:
         return {

@@ -185,7 +185,7 @@ def _fit_load(rig: RunUpRotor, group: LoadRuns, bound: float, ridge: float) -> P
 
 
 def _normal(slopes: FloatArray) -> FloatArray:
-    return np.asarray(slopes.swapaxes(1, 2) @ slopes)
+    return slopes.swapaxes(1, 2) @ slopes
 
 
 def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float, ridge: float) -> FloatArray:
@@ -210,7 +210,7 @@ def _descend(group: LoadRuns, start: FloatArray, unit: FloatArray, bound: float,
 
 
 def _cost(residual: FloatArray, parts: FloatArray, ridge: float) -> FloatArray:
-    return np.asarray(np.sum(residual**2, axis=1) + np.sum(parts**2, axis=1) / ridge**2)
+    return np.sum(residual**2, axis=1) + np.sum(parts**2, axis=1) / ridge**2
 
 
 def _step(

@@ -57,7 +57,7 @@ class SquaredExponential:
     def covariance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """k (n_first, n_second) [-] between places (n, 2) [N, rad/s]. Equation (run-field)."""
         difference = (first[:, None, :] - second[None, :, :]) / np.array([self.load, self.speed])
-        return np.asarray(self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1)))
+        return self.size**2 * np.exp(-0.5 * np.sum(difference**2, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,12 @@ class SmoothField:
 
     def basis(self, places: FloatArray) -> FloatArray:
         """b (n_point, n_mode) [-] at places (n_point, 2) [N, rad/s]. Equation (run-field-basis)."""
-        return np.asarray(self.kernel.covariance(places, self.places) @ self.weights)
+        return self.kernel.covariance(places, self.places) @ self.weights
 
     def unexplained(self, places: FloatArray) -> FloatArray:
         """Covariance (n_point, n_point) [-] beyond the basis, at places (n_point, 2) [N, rad/s]."""
         basis = self.basis(places)
-        return np.asarray(self.kernel.covariance(places, places) - basis @ basis.T)
+        return self.kernel.covariance(places, places) - basis @ basis.T
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class ProcessFamily:
     def factors(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """exp(g), (n_point, 8) [-]."""
         basis = self.field.basis(places_of(load, speed))
-        return np.asarray(np.exp(basis @ values[len(rotor.PARAMETERS) :].reshape(8, -1).T))
+        return np.exp(basis @ values[len(rotor.PARAMETERS) :].reshape(8, -1).T)
 
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """The eight COEFFICIENTS (n_point, 8) [N/m, N s/m]; FitError outside the bearing's table."""
