@@ -245,6 +245,8 @@ AROUND, MOST_NOISE, LEAST_PART = 16, 0.9, 1e-6
 ROUNDING = 1e-10
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
 DIED_AWAY = 0.05
+# Power at the end over that before the first hit, of some twenty samples, up to which it is noise.
+AS_NOISE = 2.5
 # Share at which the advised block ends, and the fall of ln(rms) within a block that tells its length.
 AT_REST, SEEN_TO_FALL = 5e-4, 0.2
 
@@ -407,6 +409,8 @@ class _HitAverage:
         self._alone: list[tuple[int, float, ComplexArray]] = []
         # Responses that ring on, with the longest block [s] in which one would die away, 0 where unknown.
         self.slow: dict[str, float] = {}
+        # Power of every channel (n_channel,) before the first hit.
+        self._quiet: FloatArray | None = None
         self.findings: list[Finding] = []
 
     def add(self, hit: Hit) -> None:
@@ -423,7 +427,7 @@ class _HitAverage:
         samples[:, self.force] *= window
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
-        self._note_slow(samples)
+        self._note_slow(samples, hit)
         amplitude = fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self.n_hit += 1
@@ -442,12 +446,17 @@ class _HitAverage:
         median = float(scipy.special.gammaincinv(max(self.n_hit, 1), 0.5)) / max(self.n_hit, 1)
         return around / median, self._sum[:, self.force, self.force].real
 
-    def _note_slow(self, samples: FloatArray) -> None:
+    def _note_slow(self, samples: FloatArray, hit: Hit) -> None:
+        """Keep the responses of which more than the noise before the first *hit* is left at the end."""
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
         largest, number = tenths.max(axis=0), tenths.argmax(axis=0)
         length = samples.shape[0] / self._source.sample_rate
+        if self._quiet is None:
+            self._quiet = np.sum(hit.samples[: hit.trigger] ** 2, axis=0) / max(hit.trigger, 1)
+        noise = AS_NOISE * self._quiet * np.mean(self._exponential[-len(samples) // 10 :] ** 2)
+        left = np.sqrt(np.maximum(tenths[-1] ** 2 - noise, 0.0))
         for column, channel in enumerate(self._source.channels):
-            share = tenths[-1, column] / largest[column] if largest[column] else 0.0
+            share = left[column] / largest[column] if largest[column] else 0.0
             if share <= DIED_AWAY or channel.role != "output":
                 continue
             # exp(-t / tau) from the largest tenth to the last one.

@@ -184,6 +184,18 @@ def test_a_response_that_rings_on_is_said(rng: np.random.Generator) -> None:
     assert [finding.code for finding in response.findings] == ["not-died-away"]
 
 
+@pytest.mark.parametrize(("pole", "rings"), [(-2 * np.pi * 4.0 + 2j * np.pi * 60.0, False), (POLE, True)])
+def test_noise_at_the_end_of_a_block_is_not_said_to_ring(
+    rng: np.random.Generator, pole: complex, rings: bool
+) -> None:
+    """Noise of 2 % of the peak, more than 5 % of the largest tenth, as before the first hit."""
+    clean = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5), pole)
+    noise = 0.02 * np.max(np.abs(clean.samples[:, 1:])) * rng.normal(size=clean.samples.shape)
+    noisy = replace(clean, samples=clean.samples + noise * [0.0, 1.0])
+    response = measure([noisy], FrfSettings(excitation="impact", block=BLOCK, band=(10.0, 150.0)))
+    assert ("not-died-away" in [finding.code for finding in response.findings]) == rings
+
+
 def test_two_hammered_directions_give_one_matrix(rng: np.random.Generator) -> None:
     quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
     force = half_sine(LENGTH, STARTS, [1.0] * 5)
