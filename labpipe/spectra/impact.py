@@ -295,6 +295,9 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
             "shorten `force_window` to a little more than the contact",
         )
         return without_force_noise(parts, errors, layout, what, hint, taken_off=False)
+    # The power of the force is in no product of H2.
+    if settings.estimator == "H2":
+        return parts
     what, low = "after its hits makes H low by", settings.estimator == "H1"
     return without_force_noise(parts, errors, layout, what, WINDOW, taken_off=low)
 

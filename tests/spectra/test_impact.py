@@ -313,7 +313,7 @@ def test_noise_of_the_hammer_that_moves_all_lines_alike_is_named(
     impact = ImpactSettings(trigger=0.4, double_hit=0.4, force_window=window)
     settings = FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact)
 
-    def finding(force: float) -> str:
+    def finding(force: float, settings: FrfSettings = settings) -> str:
         scales = np.array([force, 1e-3 * np.max(np.abs(clean.samples[:, 1]))])
         noisy = Recording(clean.channels, clean.samples + scales * rng.normal(size=(LENGTH, 2)), RATE, "taps")
         return next((f.message for f in measure([noisy], settings).findings if f.code == "force-noise"), "")
@@ -327,6 +327,8 @@ def test_noise_of_the_hammer_that_moves_all_lines_alike_is_named(
     printed = float(message.split(" %")[0].split()[-1])
     assert printed == pytest.approx(100 * share, rel=0.15)
     assert not finding(1e-5)
+    # H2 holds no power of the force.
+    assert bool(finding(size, replace(settings, estimator="H2"))) == (window is not None)
 
 
 def test_noise_of_the_hammer_does_not_make_h_low(rng: np.random.Generator) -> None:
