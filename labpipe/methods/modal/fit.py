@@ -287,7 +287,8 @@ def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -
     turned = _turn(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
-    lines = Lines(measured.omega, matrix, DERIVATIVES[form], _weight(turned, factor), hysteretic)
+    weight = _weight(turned, factor)
+    lines = Lines(measured.omega, matrix, DERIVATIVES[form], weight, hysteretic, measured.leakage)
     return _Sides(turned, lines, forces_move, by_force)
 
 

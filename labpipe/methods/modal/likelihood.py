@@ -21,7 +21,11 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.residual import jackknife_residual
+
+# a and b of every pole, and their derivatives.
+PoleFunctions = tuple[tuple[ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class Lines:
 
     weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over
     lines are weighted with it. hysteretic: whether modes are damped by a loss factor, else viscously.
+    leakage: of random data, where it is known.
     """
 
     omega: FloatArray
@@ -38,11 +43,24 @@ class Lines:
     power: int
     weight: FloatArray
     hysteretic: bool = False
+    leakage: Leakage | None = None
 
     @property
     def s(self) -> ComplexArray:
         """j omega (n_line,) [rad/s]."""
         return 1j * self.omega
+
+    def functions(self, poles: ComplexArray) -> PoleFunctions:
+        """`pole_functions` of *poles* (n_mode,) [rad/s] as the lines show them: with what leaks."""
+        if self.leakage is None:
+            return pole_functions(self.s, poles, self.hysteretic)
+        every = pole_functions(1j * self.leakage.grid[0], poles, self.hysteretic)
+        (a, b), (a_slope, b_slope) = (map(self._averaged, pair) for pair in every)
+        return (a, b), (a_slope, b_slope)
+
+    def _averaged(self, values: ComplexArray) -> ComplexArray:
+        assert self.leakage is not None
+        return self.leakage.averaged(values[:, :, None])[..., 0]
 
     @property
     def spacing(self) -> float:
@@ -399,14 +417,12 @@ def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
 
 
 def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
-    pairs = pole_functions(lines.s, poles, lines.hysteretic)
+    pairs = lines.functions(poles)
     columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(lines.omega.size, -1) for a, b in pairs]
     return np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None]
 
 
-def pole_functions(
-    s: ComplexArray, poles: ComplexArray, hysteretic: bool
-) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
+def pole_functions(s: ComplexArray, poles: ComplexArray, hysteretic: bool) -> PoleFunctions:
     """a, b (n_line, n_mode) [s] with H = sum over modes of R a + conj(R) b, and the same of dH / d lambda
     [s^2]; *s* (n_line,) [rad/s].
 

@@ -16,7 +16,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.weights import has_noise, singular_lines, weight_uncertainty, whitener
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms, by_lines, pole_functions
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, by_lines
 
 # Largest number of entries of the Jacobian.
 MOST_ENTRIES = 40_000_000
@@ -113,7 +113,7 @@ class ModalReceptance:
         """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the
         rest best.
         """
-        poles = self._of_modes(refined.poles, refined.participation, refined.shapes, measured.omega)
+        poles = self._of_modes(refined.poles, refined.participation, refined.shapes)
         rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
         factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
         free = refined.participation[self._free]
@@ -128,22 +128,22 @@ class ModalReceptance:
         return rows, columns
 
     def _of_modes(
-        self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray, omega: FloatArray
+        self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray
     ) -> ComplexArray:
-        a, b = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)[0]
+        a, b = self.terms.lines.functions(poles)[0]
         residue = shapes[:, None, :] * participation.T[None]
         return np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj())
 
-    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
-        """H (n_line, n_output, n_input) [m/N]."""
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
+        """H (n_line, n_output, n_input) [m/N] on the lines of the terms, of random data the expected H1."""
         poles, participation, shapes, factors = self.split(parameters)
         of_terms = np.einsum("lt,oit->loi", self.basis, factors)
-        return self._of_modes(poles, participation, shapes, omega) + of_terms
+        return self._of_modes(poles, participation, shapes) + of_terms
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
         poles, participation, shapes, _ = self.split(parameters)
-        (a, b), (a_slope, b_slope) = pole_functions(1j * omega, poles, self.terms.lines.hysteretic)
+        (a, b), (a_slope, b_slope) = self.terms.lines.functions(poles)
         slopes = np.zeros((self.free.size // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
         place = iter(slopes)
         for mode in range(self.n_mode):
