@@ -206,6 +206,7 @@ def evidence_of(
                 for error in matrix_errors(reading, directions=True)
             },
             shared=reading.shared_noise,
+            leakage=reading.leakage,
         )
     if reading is not None:
         return _vectors(test, reading, built, system)

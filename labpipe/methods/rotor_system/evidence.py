@@ -13,6 +13,7 @@ from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
+from labpipe.estimation.leakage import Leakage
 from labpipe.methods.rotor.posterior import Evidence, Residual
 from labpipe.methods.rotor_system.model import Derivatives, SystemModel
 
@@ -130,7 +131,7 @@ class Responses:
 
     supported: on its bearings, or free. gains: numbers of the unknowns of the outputs' gains. changes: by one
     standard uncertainty of unknowns of calibrations, by their numbers. shared: lines that have the noise of
-    one in common, which the *error* allows for.
+    one in common, which the *error* allows for. leakage: of random data, where it is known.
     """
 
     kind: ClassVar[str] = "response"
@@ -146,18 +147,23 @@ class Responses:
     gains: tuple[int, ...] = ()
     changes: Mapping[int, ComplexArray] = field(default_factory=dict)
     shared: float = 1.0
+    leakage: Leakage | None = None
 
     def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, Derivatives]:
-        """H (n_line, n_output, n_input) [m/N] and its derivatives (n_unknown, ...)."""
-        forces, spin = np.eye(model.n_dof)[:, list(self.inputs)], np.full(self.omega.size, self.spin)
+        """H (n_line, n_output, n_input) [m/N] and its derivatives (n_unknown, ...); of random data of the
+        expected H1.
+        """
+        omega = self.omega if self.leakage is None else self.leakage.grid[0]
+        forces, spin = np.eye(model.n_dof)[:, list(self.inputs)], np.full(omega.size, self.spin)
         acting = np.where(model.acting(self.name), values, 0.0)
-        motion, slopes, _ = model.response(acting, spin, self.omega, forces, self.outputs, self.supported)
+        motion, slopes, _ = model.response(acting, spin, omega, forces, self.outputs, self.supported)
+        motion = self._shown(motion)
         gains = np.exp(acting[list(self.gains)])[:, None] if self.gains else 1.0
         modelled = motion * gains
         added, by_unknown = calibrated(model, values, self.changes)
 
         def derivatives() -> ComplexArray:
-            moved = slopes() * gains
+            moved = self._shown(slopes()) * gains
             for output, number in enumerate(self.gains):
                 moved[number, :, output] += modelled[:, output]
             for number, change in by_unknown.items():
@@ -165,6 +171,9 @@ class Responses:
             return moved
 
         return modelled + added, derivatives
+
+    def _shown(self, values: ComplexArray) -> ComplexArray:
+        return values if self.leakage is None else self.leakage.averaged(values)
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
         """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
@@ -183,6 +192,7 @@ class Responses:
             measured=self.measured[few],
             error=self.error[few],
             changes={number: change[few] for number, change in self.changes.items()},
+            leakage=self.leakage and replace(self.leakage, numbers=self.leakage.numbers[few]),
         )
         size = np.maximum(np.abs(thinned.measured), np.abs(thinned.predicted(model, values)[0]))
         return replace(thinned, error=np.hypot(thinned.error, share * size))

@@ -11,6 +11,7 @@ import yaml
 from scipy import linalg
 
 from labpipe.bearings.kinds import OperatingPoint
+from labpipe.estimation.leakage import Leakage
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.curve import CURVE_MESH as FINE
 from labpipe.methods.rotor.response import modes
@@ -27,6 +28,8 @@ from labpipe.methods.rotor_system.build import (
 )
 from labpipe.methods.rotor_system.evidence import FreeModes
 from labpipe.methods.rotor_system.system_file import load_system
+from labpipe.records.response import Blocks
+from labpipe.spectra.windows import kernel_of
 from tests.methods.rotor_system.two_discs import (
     STEEL,
     built,
@@ -111,6 +114,32 @@ def test_derivatives_of_every_test(number: int) -> None:
     values = drawn(of, np.random.default_rng(3))
     test = four_tests(of, values, np.random.default_rng(4))[number]
     assert_derivatives(of, test, values, range(values.size))
+
+
+def test_a_response_of_random_data_is_the_expected_h1() -> None:
+    """|W|^2 of numpy's Hann window on 16 points to a line, summed, of blocks of 2 s: at the peaks a few per
+    cent less than H, and the derivatives likewise.
+    """
+    of = built()
+    values = true_values(of)
+    plain = replace(four_tests(of, values, None)[1], omega=2 * np.pi * np.arange(20.0, 60.0, 0.5))
+    numbers = np.arange(40, 120)
+    blocks = Blocks(2.0, "hann", 0.5, 60, "H1")
+    leaking = replace(plain, leakage=Leakage(kernel_of(blocks), numbers, np.zeros(0), 0))
+    window = np.zeros(16 * 512)
+    window[:512] = np.hanning(513)[:-1]
+    offsets = np.arange(-64, 65)
+    power = np.abs(np.fft.fft(window)[offsets]) ** 2
+    shifted = [replace(plain, omega=plain.omega + 2 * np.pi * offset / 32) for offset in offsets]
+    every = [one.predicted(of.model, values) for one in shifted]
+    expected = np.average([motion for motion, _ in every], axis=0, weights=power)
+    slopes = np.average([slope() for _, slope in every], axis=0, weights=power)
+    found, found_slopes = leaking.predicted(of.model, values)
+    size = np.abs(expected).max()
+    assert np.max(np.abs(plain.predicted(of.model, values)[0] - expected) / size) > 0.02
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-4)
+    scale = np.abs(slopes).max(axis=(1, 2, 3), keepdims=True) + 1e-300
+    np.testing.assert_allclose(found_slopes() / scale, slopes / scale, atol=1e-3)
 
 
 @pytest.mark.long
