@@ -17,7 +17,7 @@ from labpipe.spectra.windows import POINTS, LeakageKernel
 
 if TYPE_CHECKING:
     from labpipe.estimation.measured import Measured
-    from labpipe.estimation.model import DynamicModel, FittedModel, ReceptanceModel, ResponseModel
+    from labpipe.estimation.model import DynamicModel, FittedModel, Receptance, ResponseModel
 
 # Columns of the correlation formed together.
 COLUMNS_AT_ONCE = 64
@@ -226,7 +226,7 @@ class Leakage:
         there = self.numbers[np.minimum(second, self.numbers.size - 1)] == self.numbers + distance
         return np.flatnonzero(there), second[there]
 
-    def points_of(self, model: ReceptanceModel, parameters: FloatArray) -> ComplexArray:
+    def points_of(self, model: Receptance, parameters: FloatArray) -> ComplexArray:
         """H [m/N] of the model at every line's points, (n_line, n_point, n_dof, n_input)."""
         omega, place = self.grid
         return model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
@@ -301,7 +301,7 @@ def expected(measured: Measured, model: Any) -> Any:
     return model if measured.leakage is None else SmearedModel(model, measured.leakage)
 
 
-def leaking_noise(measured: Measured, model: ReceptanceModel, parameters: FloatArray) -> LineBlocks | None:
+def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray) -> LineBlocks | None:
     """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what
     their residual's power gives; None without leakage or noise.
 

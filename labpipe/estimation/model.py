@@ -64,12 +64,16 @@ class Term:
     aliases: tuple[str, ...] = ()
 
 
-class ReceptanceModel(Protocol):
-    """An FRF as a function of parameters, with its Jacobian."""
+class Receptance(Protocol):
+    """An FRF as a function of parameters."""
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [m/N], (n_line, n_dof, n_input), at *omega* (n_line,) [rad/s]."""
         ...
+
+
+class ReceptanceModel(Receptance, Protocol):
+    """Such an FRF with its Jacobian."""
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""

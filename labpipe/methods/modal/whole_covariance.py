@@ -12,11 +12,18 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.leakage import leaking_noise
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import solve_scaled
-from labpipe.estimation.weights import has_noise, singular_lines, weight_uncertainty, whitener
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms, by_lines
+from labpipe.estimation.weights import (
+    fitted_uncertainty,
+    has_noise,
+    singular_lines,
+    weight_uncertainty,
+    whitener,
+)
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, by_lines, pole_functions
 
 # Largest number of entries of the Jacobian.
 MOST_ENTRIES = 40_000_000
@@ -130,9 +137,7 @@ class ModalReceptance:
     def _of_modes(
         self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray
     ) -> ComplexArray:
-        a, b = self.terms.lines.functions(poles)[0]
-        residue = shapes[:, None, :] * participation.T[None]
-        return np.einsum("lm,oim->loi", a, residue) + np.einsum("lm,oim->loi", b, residue.conj())
+        return _sum(self.terms.lines.functions(poles)[0], participation, shapes)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """H (n_line, n_output, n_input) [m/N] on the lines of the terms, of random data the expected H1."""
@@ -157,6 +162,28 @@ class ModalReceptance:
             for term in self.basis.T:
                 next(place)[:, :, output, column] = term, 1j * term
         return slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free]
+
+
+@dataclass(frozen=True)
+class _Modes:
+    """The modes of a *model* at any frequency, for what leaks; residual terms are smooth there."""
+
+    model: ModalReceptance
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        poles, participation, shapes, _ = self.model.split(parameters)
+        functions, _ = pole_functions(1j * omega, poles, self.model.terms.lines.hysteretic)
+        return _sum(functions, participation, shapes)
+
+
+def _sum(
+    functions: tuple[ComplexArray, ComplexArray], participation: ComplexArray, shapes: ComplexArray
+) -> ComplexArray:
+    residue = shapes[:, None, :] * participation.T[None]
+    a, b = (
+        np.einsum("lm,oim->loi", of, r) for of, r in zip(functions, (residue, residue.conj()), strict=True)
+    )
+    return a + b
 
 
 def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArray:
@@ -186,9 +213,16 @@ def covariance_fit(
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof, unused=error.what)
     problem = OutputError(measured, model, weights)
     minimum = minimise(problem, start)
-    _, inverse = solve_scaled(problem.jacobian(minimum.values), problem.residual(minimum.values))
+    jacobian = problem.jacobian(minimum.values)
+    _, inverse = solve_scaled(jacobian, problem.residual(minimum.values))
+    covariance, noise = (
+        uncertainty.inflation * inverse,
+        leaking_noise(measured, _Modes(model), minimum.values),
+    )
+    if noise is not None:
+        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, jacobian, inverse)
     reduced = problem.chi2(minimum.values) / dof / uncertainty.excess
-    again = _refine(model, minimum, uncertainty.inflation * inverse, refined)
+    again = _refine(model, minimum, covariance, refined)
     fitted = model.receptance(minimum.values, measured.omega)
     return ModalEstimate(again, fitted, dof, reduced, uncertainty.p_value(reduced, dof))
 
