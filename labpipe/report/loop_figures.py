@@ -200,7 +200,7 @@ def _nyquist(comparison: Comparison) -> Figure:
         Axis(title, "1", low=low, high=high)
         for title, low, high in (("Re L", -3.0, 1.0), ("Im L", -2.0, 2.0))
     ]
-    of_limit = dots("-1", [-1.0], [0.0], INK, marker="v", size=5.0)
-    panel = Panel(axes[0], axes[1], (*series, circle, of_limit), equal=True)
+    critical_point = dots("-1", [-1.0], [0.0], INK, marker="v", size=5.0)
+    panel = Panel(axes[0], axes[1], (*series, circle, critical_point), equal=True)
     caption = f"{comparison.name}: loop transfer L = 1/S - 1 line by line around -1; dashed: |S| = 3."
     return Figure(stack([panel], 4.4), caption, "Loop transfer function in the complex plane around -1")

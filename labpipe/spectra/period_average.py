@@ -306,6 +306,9 @@ class PeriodAverage:
         self._scatter += before[:, :, None] * after[:, None, :].conj()
 
     def _add_nearest(self, amplitude: ComplexArray) -> None:
+        """Add the next period's *amplitude* (n_line, n_channel) [unit of the channel], turned by exp(-2 pi j
+        m p / P), to the sums of the nearest m, TOGETHER periods at a time.
+        """
         number, place = self.n_period, self.n_period % TOGETHER
         self._waiting[place] = amplitude
         if place == TOGETHER - 1 or number == self._n_due - 1:
@@ -333,17 +336,17 @@ class PeriodAverage:
             return 0
         size = np.sqrt(np.einsum("laa->la", self._scatter).real)
         rounding = ROUNDING * np.sqrt(n) * np.max(np.abs(self._mean), axis=0, initial=0.0)
-        told = np.all(size > rounding, axis=0)
-        if not np.any(told):
+        noisy = np.all(size > rounding, axis=0)
+        if not np.any(noisy):
             return 0
         # What a channel has beyond those before it: what they share may hide that it is slow.
-        size, unit = size[:, told], np.eye(int(np.sum(told)))
-        scatter = self._scatter[:, told][:, :, told] / (size[:, :, None] * size[:, None, :])
-        own = np.linalg.cholesky((scatter if len(unit) < n else unit[None]) + RIDGE * unit)
-        beside = (self._beside[..., told] / size).transpose(1, 2, 0)
-        share = np.sum(np.abs(np.linalg.solve(own, beside)) ** 2, axis=2) / n
+        size, unit = size[:, noisy], np.eye(int(np.sum(noisy)))
+        scatter = self._scatter[:, noisy][:, :, noisy] / (size[:, :, None] * size[:, None, :])
+        factor = np.linalg.cholesky((scatter if len(unit) < n else unit[None]) + RIDGE * unit)
+        beside = (self._beside[..., noisy] / size).transpose(1, 2, 0)
+        share = np.sum(np.abs(np.linalg.solve(factor, beside)) ** 2, axis=2) / n
         # Of independent periods the share of so many of n - 1 lines has a beta distribution.
-        excess = np.where(np.einsum("laa->la", own).real ** 2 > LEAST_OWN, share - near / (n - 1), 0.0)
+        excess = np.where(np.einsum("laa->la", factor).real ** 2 > LEAST_OWN, share - near / (n - 1), 0.0)
         excess *= (n - 1) * np.sqrt(n / (near * (n - 1 - near)))
         # A response that drifts has more there, not less.
         for starts in (np.zeros(1, int), self.differences.starts):

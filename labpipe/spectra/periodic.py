@@ -65,7 +65,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     mean = np.stack([layout.padded(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
     half_width = 0 if settings.reference else settings.smooth
-    spectra = _even(single, spectra, lines, mean[:, n_input:] @ inverse, layout, half_width)
+    spectra = _smoothed_by_response(single, spectra, lines, mean[:, n_input:] @ inverse, layout, half_width)
     frequency = spectra[0].frequency
     noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     noise = np.stack(noises) if len(noises) == len(spectra) else None
@@ -104,7 +104,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     )
 
 
-def _even(
+def _smoothed_by_response(
     single: Sequence[LineSpectrum],
     smoothed: Sequence[LineSpectrum],
     lines: BoolArray,

@@ -179,8 +179,8 @@ def _prior_findings(solved: _Solved, sources: Sequence[Source], wear: WearSettin
     moved = np.array([rows @ (change[: parameters.size] / model.scale) for _, change in sources])
     spread = np.eye(n) - rows @ solved.covariance @ rows.T + moved.reshape(-1, n).T @ moved.reshape(-1, n)
     sizes, axes = np.linalg.eigh(spread)
-    told = sizes > SAYS_NOTHING
-    chance = chi2_tail(float(np.sum((off @ axes)[told] ** 2 / sizes[told])), int(np.sum(told)))
+    clear = sizes > SAYS_NOTHING
+    chance = chi2_tail(float(np.sum((off @ axes)[clear] ** 2 / sizes[clear])), int(np.sum(clear)))
     if chance >= CONTRADICTED_P:
         return []
     # The parameter that went farthest of what the lines may move it.
@@ -188,13 +188,13 @@ def _prior_findings(solved: _Solved, sources: Sequence[Source], wear: WearSettin
     shift, error = root @ off, np.sqrt(np.diag(root @ spread @ root.T))
     worst = int(np.argmax(np.abs(shift) / error))
     mean, unit = prior.mean[worst], UNITS[prior.names[worst]]
-    found = mean + float(shift[worst] * model.scale[-n:][worst])
+    middle = mean + float(shift[worst] * model.scale[-n:][worst])
     stated = amount_text(mean, float(prior.std[worst]), unit, "+-")
     of = f"the fit '{wear.prior}'" if wear.prior else "what was stated"
     message = (
         f"the lines contradict {of} ({chance_text(chance)}), most of all {prior.names[worst]} {stated}: both "
-        f"together give {amount_text(found, None, unit)}, which may be neither. The wear, the oil or the rig "
-        "is another one than then, or what was stated is known worse"
+        f"together give {amount_text(middle, None, unit)}, which may be neither. The wear, the oil or the "
+        "rig is another one than then, or what was stated is known worse"
     )
     return [Finding("stated-value", message)]
 
