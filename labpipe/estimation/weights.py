@@ -210,7 +210,7 @@ def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     if np.sqrt(8 * np.sum((share**2 / size)[..., None] * variance)) < LEAST_SHIFT:
         return measured
     error = shown - model
-    # What is further off is no noise; where noise is most of a force, nothing tells it.
+    # What is further off is not noise; where noise is most of a force, nothing tells it.
     likely = np.all(np.abs(error) <= FARTHEST * np.sqrt(variance), axis=(1, 2))
     likely &= np.max(np.sum(np.abs(gain @ error), axis=2), axis=1) < MOST_MOVED
     error *= likely[:, None, None]
@@ -336,7 +336,7 @@ def white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> Com
 
 
 def is_short(weights: Weights) -> bool:
-    """Whether *weights* tell the noise by less than a whole matrix (n_line, n, n) [N/m]."""
+    """Whether *weights* give the noise by less than a whole matrix (n_line, n, n) [N/m]."""
     return isinstance(weights, ProductWeights) or weights.ndim == 2
 
 

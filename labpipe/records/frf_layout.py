@@ -94,7 +94,7 @@ class FrfColumns(ElementColumns):
 class FrfLayout(Settings):
     """An entry under ``frfs:`` that describes its file."""
 
-    file: str = text("the file, or a glob of files of which each is a response of its own")
+    file: str = text("the file, or a glob of files, each of which is a response of its own")
     each: tuple[str, ...] = setting(
         "names", "files of one FRF matrix, one for each element, row or column", default=()
     )
@@ -123,7 +123,7 @@ class FrfLayout(Settings):
         "flag", "the numbers are the complex conjugate of H: their phase rises through a mode", default=False
     )
     averages: int = setting(
-        "integer", "independent averages behind an H1: with its coherence they tell the noise", default=0
+        "integer", "independent averages behind an H1: with its coherence they give the noise", default=0
     )
     window: str = setting(
         "choice",
@@ -150,7 +150,7 @@ class FrfLayout(Settings):
             what = "neither 'columns' nor 'variables' say where the numbers stand"
             raise ConfigError(what, hint="columns: {frequency: 1, re: 2, im: 3}")
         if self.averages == 1:
-            raise SettingError("averages", "the coherence of one average tells no noise")
+            raise SettingError("averages", "the coherence of one average gives no noise")
         if self.averages and self.windowed is not None:
             what = "how the noise of a windowed hit goes on without its window is not known"
             raise SettingError("averages", what, "leave out 'averages' or 'windowed'")

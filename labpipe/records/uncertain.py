@@ -54,7 +54,7 @@ def is_uncertain(value: Any) -> bool:
 def parse_uncertain(text: str, unit: str) -> Uncertain:
     """Value and standard uncertainty of "45.2 kN/m +- 1 %"; one in per cent is relative to the value.
 
-    Behind it in brackets: what the number is, where it is no standard uncertainty (k=2, rectangular or
+    Behind it in brackets: what the number is, where it is not a standard uncertainty (k=2, rectangular or
     triangular limits), its degrees of freedom (dof=12), and its cause (source=scale).
     """
     value_text, error_text = split_uncertainty(text)

@@ -102,7 +102,7 @@ def find_hits(
     *n_sample* the block length. A hit begins where |force| exceeds the trigger, a share of the largest
     force in the recording, both relative to the zero level (the median of the first block); its block
     begins earlier by the pretrigger, or where the recording begins if it holds one block only, as an
-    analyser stores it. DataError for a sample that is no number or a force that does not vary.
+    analyser stores it. DataError for a sample that is not a number or a force that does not vary.
     """
     rest = np.median(next(iter(source.blocks(READ_SAMPLES))), axis=0)
     level = settings.trigger * max(

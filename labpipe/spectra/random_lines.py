@@ -172,7 +172,7 @@ def random_lines(
 def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> tuple[str, ...]:
     """The names of the drives: those of `reference`, else all voltages and currents of role reference;
     DataError where there are none. ConfigError where more of them stand beside fewer forces: a command that
-    the loop makes is no drive, and only its user knows it.
+    the loop makes is not a drive, and only its user knows it.
     """
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
@@ -209,7 +209,7 @@ def check_recorded(references: Sequence[str], sources: Sequence[SampleSource]) -
     roles = {channel.name: channel.role for source in sources for channel in source.channels}
     for name in references:
         if name not in roles:
-            what = f"'{name}' is no channel of the recordings"
+            what = f"'{name}' is not a channel of the recordings"
             raise SettingError("reference", what, nearest(name, dict.fromkeys(roles)))
         if roles[name] != "reference":
             part = "force" if roles[name] == "input" else "response"

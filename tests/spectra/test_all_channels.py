@@ -290,7 +290,7 @@ def test_random_data_need_recorded_independent_drives() -> None:
         spectra(rig, "seal-random", settings=RANDOM)
     rig = replace(rig, drives=True)
     (run,) = recordings(rig, 1, ["seal-random"])
-    with pytest.raises(ConfigError, match=r"'u_z' is no channel.*u_"):
+    with pytest.raises(ConfigError, match=r"'u_z' is not a channel.*u_"):
         channel_spectra([run], replace(RANDOM, reference=("u_x", "u_z")))
     # Its own noise would be due to it: none of it in the covariance.
     force = next(channel.name for channel in run.channels if channel.role == "input")

@@ -240,7 +240,7 @@ def test_the_rate_is_held_against_the_standard() -> None:
         and codes(fast)["sweep-rate"] == "note"
         and codes(cut)["sweep-rate"] == "warning"
     )
-    # The highest line of noise is no resonance, and a narrow one least of all.
+    # The highest line of noise is not a resonance, and a narrow one least of all.
     assert "sweep-rate" not in codes(
         measure([record(1, replace(UP, duration=30.0), noise=(0.0, 3.0))], SWEEP)
     )

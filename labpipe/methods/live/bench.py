@@ -302,7 +302,7 @@ def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
 # A coefficient that would take so many times the averages of the slowest reachable goal is not told by this
 # direction.
 OUT_OF_REACH = 20
-# Averages of a direction after which its first two, with none before them, are held against the others.
+# Averages of a direction after which its first two, with none before them, are compared with the others.
 FIRST_AGAIN = 5
 # A force acts in an average when its amplitude is this share of the strongest one's.
 ACTS = 0.1
@@ -460,7 +460,7 @@ class Bench(charts.Watch):
         )
 
     def _first_again(self) -> list[str]:
-        """The first two averages of a direction, which had none before them, held against the others."""
+        """The first two averages of a direction, which had none before them, compared with the others."""
         events = []
         for place, number in reversed(list(enumerate(self._unjudged))):
             if self.fits[0].sums.of(self.fits[0].first[place][1]).n < running_fit.LEAST_AVERAGES:

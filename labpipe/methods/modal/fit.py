@@ -76,7 +76,7 @@ def mismatch(estimate: ModalEstimate) -> float | None:
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
-    """Whether the residual is no noise where the noise is not known."""
+    """Whether the residual is not noise where the noise is not known."""
     return estimate.chi2_reduced is None and p_noise < MISMATCH_P
 
 
@@ -429,7 +429,7 @@ def _report(
             measured, beyond, estimate, parameters, misfit, moved, moving=moving
         )
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
-    # Points that differ are no fault of the modes.
+    # Points that differ are not a fault of the modes.
     named = errors if misfit or not shown else {}
     if judged and (misfit or errors):
         parameters = model_error.with_model_errors(

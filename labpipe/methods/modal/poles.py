@@ -309,7 +309,7 @@ def _median(values: ComplexArray) -> complex:
 
 
 LAGS = 8
-# Lines whose residuals tell the noise of the one in their middle.
+# Lines whose residuals give the noise of the one in their middle.
 AROUND = 31
 
 

@@ -37,7 +37,7 @@ NEAR, MOST_STEPS = 1e-2, 40
 RESTARTS, DRAWN, RESTART_SEED = 3, 0.6, 20261126
 # Steps with noise that is enlarged by a share of the amplitudes, before the share is taken anew.
 STEPS = 4
-# Draws by which the normal approximation is held against the tests, and the excess over the number of
+# Draws by which the normal approximation is compared with the tests, and the excess over the number of
 # unknowns that it bears, in standard deviations of a median of so many; fits of randomised maximum likelihood
 # where it fails, the steps of each, and the chance of a chi-square beyond which it has lost the rotor.
 LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 20, 3.0, 60, 6, 1e-4

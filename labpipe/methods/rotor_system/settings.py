@@ -31,7 +31,7 @@ def place_of(text: str, directed: bool = True) -> tuple[int, str]:
     match = _PLACE.match(text)
     if match is None or bool(match["direction"]) != directed:
         hint = "write 3 y" if directed else "write 3, the node"
-        raise UnitError(f"'{text}' is no place on the rotor", hint)
+        raise UnitError(f"'{text}' is not a place on the rotor", hint)
     return int(match["node"]), match["direction"] or ""
 
 
@@ -47,7 +47,7 @@ class SystemTest(Settings):
     )
     fit: str = text(
         "modes: a modal fit of this pipeline, of the rotor on soft strings; response: one of this FRF, whose "
-        "natural frequencies are held against those of the free rotor"
+        "natural frequencies are compared with those of the free rotor"
     )
     frequencies: tuple[str, ...] = setting(
         "names", "in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]", default=()
@@ -141,7 +141,7 @@ class SystemTest(Settings):
         for path, stated in self.deflections:
             output, mark, force = path.partition("/")
             if not mark:
-                raise UnitError(f"'{path}' is no pair of places", "write 5 z / 10 z")
+                raise UnitError(f"'{path}' is not a pair of places", "write 5 z / 10 z")
             number, places = parse_uncertain(stated, "m/N"), (place_of(output), place_of(force))
             if number.std_error <= 0:
                 raise UnitError(f"'{stated}' needs its uncertainty", f"write {stated} +- 2 %")

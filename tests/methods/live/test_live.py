@@ -151,7 +151,7 @@ def test_goals_of_the_pipeline_end_a_test_and_the_run_says_when(bench, follow, l
     assert "Course of the test" in (bench / "out" / "report.md").read_text()
     (bench / "pipeline.yaml").write_text(PIPELINE + "live: {until: [s.c>=5]}\n")
     refused = labpipe("live", bench / "pipeline.yaml", bench / "test.csv")
-    assert refused.code == 2 and "is no rule on a width" in refused.err
+    assert refused.code == 2 and "is not a rule on a width" in refused.err
 
 
 @pytest.mark.parametrize("estimator", ["ml", "ls"])
@@ -707,7 +707,7 @@ def test_decays_that_fall_into_a_folder_are_repeats(bench, follow):
 
 
 def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
-    """`zeta_1` is no coefficient of the fit that is followed, so the goal waits for the modal one."""
+    """`zeta_1` is not a coefficient of the fit that is followed, so the goal waits for the modal one."""
     rng = np.random.default_rng(2)
     push = np.zeros(2 * N)
     push[100:104] = [20.0, 50.0, 50.0, 20.0]
