@@ -19,14 +19,24 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import read_frf_uff
 from labpipe.records.frf_layout import FrfLayout
-from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port
 from labpipe.registry import Registry
 from labpipe.spectra.damping import undamped
 from labpipe.spectra.ports import join
-from labpipe.spectra.windows import amplitude_correlation
+from labpipe.spectra.windows import (
+    WINDOW_SAMPLES,
+    amplitude_correlation,
+    effective_averages,
+    line_correlation,
+    window_values,
+)
 
 MATRIX_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
 FRF_READERS = Registry("frf-reader")
+# Share of the distance of lines by which a written frequency may be off its line: few digits, and no more.
+OFF_LINE = 0.1
+# Blocks of random data whose number is not stated: so many that one more changes nothing.
+MANY_BLOCKS = 100
 
 
 def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
@@ -99,7 +109,9 @@ def load_described(
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
     response = join(responses) if layout.each else responses[0]
-    if layout.averages:
+    if layout.excitation:
+        response = _of_random_blocks(response, layout, frf.paths[0])
+    elif layout.averages:
         response = _with_noise(response, layout.averages, frf.paths[0])
     if layout.windowed is not None:
         response = undamped(response, layout.windowed.exponential)
@@ -108,7 +120,7 @@ def load_described(
     return replace(response, name=name, conditions=conditions or response.conditions)
 
 
-def _with_noise(response: FrequencyResponse, averages: int, path: Path) -> FrequencyResponse:
+def _with_noise(response: FrequencyResponse, averages: float, path: Path) -> FrequencyResponse:
     """E|dH|^2 = |H|^2 (1 / coherence - 1) / (averages - 1) of every element alone, of an H1 under one force
     at a time (Bendat and Piersol 2010, Random Data, 9.2); averages less one, since the same data tell it.
     """
@@ -122,7 +134,23 @@ def _with_noise(response: FrequencyResponse, averages: int, path: Path) -> Frequ
         raise DataError(what, path, "export it with more digits, or leave `averages` out")
     variance = np.abs(response.matrix) ** 2 * (1 / response.coherence - 1) / (averages - 1)
     held = BlockCovariance.uncorrelated(variance)
-    return replace(response, covariance=held, covariance_dof=averages - 1.0, averages=float(averages))
+    return replace(response, covariance=held, covariance_dof=averages - 1, averages=averages)
+
+
+def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path) -> FrequencyResponse:
+    """An H1 of random data in blocks of one over the distance of its lines, with what these leave in it."""
+    if response.blocks is not None:
+        raise DataError("says itself what its blocks were", path, "leave `excitation` out")
+    numbers = response.frequency / (spacing := float(np.median(np.diff(response.frequency))))
+    if np.any(np.abs(numbers - np.round(numbers)) > OFF_LINE):
+        what = "has lines that are not multiples of their distance, as those of whole blocks are"
+        raise DataError(what, path, "export all lines as they were measured, or leave `excitation` out")
+    window, number = window_values(layout.window, WINDOW_SAMPLES), layout.averages or MANY_BLOCKS
+    step = max(1, round(window.size * (1 - layout.overlap)))
+    if layout.averages:
+        response = _with_noise(response, effective_averages(window, step, number), path)
+    blocks = Blocks(1 / spacing, layout.window, layout.overlap, number, "H1")
+    return replace(response, blocks=blocks, line_correlation=line_correlation(window, step, number))
 
 
 def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:

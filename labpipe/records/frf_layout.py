@@ -123,7 +123,9 @@ class FrfLayout(Settings):
         "flag", "the numbers are the complex conjugate of H: their phase rises through a mode", default=False
     )
     averages: int = setting(
-        "integer", "independent averages behind an H1: with its coherence they give the noise", default=0
+        "integer",
+        "averages behind an H1, independent but for `overlap`: with its coherence they give the noise",
+        default=0,
     )
     window: str = setting(
         "choice",
@@ -131,6 +133,14 @@ class FrfLayout(Settings):
         choices=WINDOWS,
         default="",
     )
+    excitation: str = setting(
+        "choice",
+        "random: every block has another force, so that an H1 holds what leaks through the window; default: "
+        "the same force",
+        choices=("random",),
+        default="",
+    )
+    overlap: float = setting("value", "overlap of neighbouring blocks of random data", unit="1", default=0.0)
     windowed: WindowedSettings | None = section(
         "window of the hits behind the FRF: its damping is taken out", WindowedSettings, None
     )
@@ -149,17 +159,26 @@ class FrfLayout(Settings):
         ):
             what = "neither 'columns' nor 'variables' say where the numbers stand"
             raise ConfigError(what, hint="columns: {frequency: 1, re: 2, im: 3}")
-        if self.averages == 1:
-            raise SettingError("averages", "the coherence of one average gives no noise")
-        if self.averages and self.windowed is not None:
-            what = "how the noise of a windowed hit goes on without its window is not known"
-            raise SettingError("averages", what, "leave out 'averages' or 'windowed'")
+        self._check_blocks()
         if self.axes and sorted(self.axes) != sorted(AXES):
             raise SettingError("axes", "'axes' must name frequency, output and input once each")
         if self.table is not None:
             self._check_elements(self.table)
         if self.table is not None or self.unit:
             self._check_unit()
+
+    def _check_blocks(self) -> None:
+        if self.averages == 1:
+            raise SettingError("averages", "the coherence of one average gives no noise")
+        if self.averages and self.windowed is not None:
+            what = "how the noise of a windowed hit goes on without its window is not known"
+            raise SettingError("averages", what, "leave out 'averages' or 'windowed'")
+        if self.excitation and (not self.window or self.windowed is not None):
+            what = "of random data leaks through the window of their blocks, and through no other"
+            raise SettingError("excitation", what, "window: hann beside it, and no 'windowed'")
+        if self.overlap and not (self.excitation and 0 <= self.overlap < 1):
+            what = "'overlap' is that of blocks of random data, at least 0 and below 100 %"
+            raise SettingError("overlap", what, "excitation: random beside it")
 
     @property
     def _are_universal(self) -> bool:
