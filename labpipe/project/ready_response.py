@@ -141,7 +141,10 @@ def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path
     """An H1 of random data in blocks of one over the distance of its lines, with what these leave in it."""
     if response.blocks is not None:
         raise DataError("says itself what its blocks were", path, "leave `excitation` out")
-    numbers = response.frequency / (spacing := float(np.median(np.diff(response.frequency))))
+    steps = np.diff(response.frequency)
+    # Over all lines, since each is written with few digits.
+    spacing = float(np.sum(steps) / np.sum(np.round(steps / np.median(steps))))
+    numbers = response.frequency / spacing
     if np.any(np.abs(numbers - np.round(numbers)) > OFF_LINE):
         what = "has lines that are not multiples of their distance, as those of whole blocks are"
         raise DataError(what, path, "export all lines as they were measured, or leave `excitation` out")
