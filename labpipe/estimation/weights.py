@@ -122,7 +122,9 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
     a = nu - n
     if a <= 1:
         what = f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only"
-        raise FitError(what, hint="average more periods or blocks, or raise `smooth`")
+        raise FitError(
+            what, hint="average more periods or blocks, raise `smooth`, or of a table leave `averages` out"
+        )
     inflation, shared = measured.shared_noise * nu**2 / (a**2 - 1), measured.shared_power
     return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, shared), shared)
 

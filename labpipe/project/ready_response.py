@@ -23,6 +23,7 @@ from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse,
 from labpipe.registry import Registry
 from labpipe.spectra.damping import undamped
 from labpipe.spectra.ports import join
+from labpipe.spectra.quality import leaking_peaks
 from labpipe.spectra.windows import (
     WINDOW_SAMPLES,
     amplitude_correlation,
@@ -66,18 +67,26 @@ def is_response(path: Path) -> bool:
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
     """A ready response of any program; *name*, *conditions*: of its test, in place of its own."""
+    response = _checked(_read(path))
+    return response.renamed(name or response.name, conditions or response.conditions)
+
+
+def _checked(response: FrequencyResponse) -> FrequencyResponse:
+    return response if response.blocks else response.with_findings(leaking_peaks(response))
+
+
+def _read(path: Path) -> FrequencyResponse:
     if path.is_dir():
         raise DataError("is a folder, a file is needed", path)
     if not path.exists():
         raise DataError("no such file", path)
     try:
-        response = read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
+        return read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
     except DataError as error:
         error.where = error.where or str(path)
         if error.what.startswith(OWN_LAYOUT):
             error.hint = _other_layouts(path, error.hint)
         raise
-    return response.renamed(name or response.name, conditions or response.conditions)
 
 
 # How a fault begins of a file that is not laid out as labpipe writes FRFs.
@@ -117,7 +126,7 @@ def load_described(
         response = undamped(response, layout.windowed.exponential)
     if layout.window and not response.line_correlation:
         response = replace(response, line_correlation=amplitude_correlation(layout.window))
-    return replace(response, name=name, conditions=conditions or response.conditions)
+    return replace(_checked(response), name=name, conditions=conditions or response.conditions)
 
 
 def _with_noise(response: FrequencyResponse, averages: float, path: Path) -> FrequencyResponse:
@@ -162,7 +171,7 @@ def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     if layout.unit or layout.form:
         response = guard(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
     else:
-        response = load_response(path)
+        response = _read(path)
     return replace(
         response,
         outputs=_rename(response.outputs, dofs.outputs, "outputs", path),

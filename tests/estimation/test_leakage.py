@@ -85,8 +85,28 @@ def test_leakage_of_an_analyser_s_random_blocks_is_in_the_model(tmp_path: Path, 
 
 
 def test_unsaid_it_makes_the_damping_too_large(tmp_path: Path) -> None:
-    """A Hann window adds some .5 % at ten lines in the half-power width; a standard error is .2 %."""
+    """A Hann window adds some .5 % at ten lines in the half-power width; a standard error is .2 %. The
+    coherence falls at the peak.
+    """
     assert np.mean(errors_of_tables(tmp_path, averages=40)) > 1.4
+    (leaking,) = of_table(tmp_path / "h.txt").findings
+    assert leaking.code == "leakage" and "coherence falls at the peak at" in leaking.message
+    assert not of_table(tmp_path / "h.txt", excitation="random").findings
+
+
+def test_coherence_of_hits_falls_nowhere(tmp_path: Path) -> None:
+    """Five hits with noise of response and force, and gains that differ by 3 %: none of 20 tables."""
+    frequency = np.arange(50 * TABLE_BLOCK, 70 * TABLE_BLOCK) / TABLE_BLOCK
+    h = receptance(frequency)[:, 0, 0]
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 9])
+        noise = rng.normal(size=(3, 5, h.size, 2)) @ np.array([1, 1j]) / np.sqrt(2)
+        f, x = 1 + 0.03 * noise[0], h * (1 + 0.03 * noise[1]) + 0.02 * np.abs(h).mean() * noise[2]
+        cross, of_f = np.mean(x * f.conj(), axis=0), np.mean(np.abs(f) ** 2, axis=0)
+        coherence = np.abs(cross) ** 2 / of_f / np.mean(np.abs(x) ** 2, axis=0)
+        columns = [frequency, (cross / of_f).real, (cross / of_f).imag, coherence]
+        np.savetxt(tmp_path / "h.txt", np.column_stack(columns))
+        assert not of_table(tmp_path / "h.txt").findings, seed
 
 
 @pytest.mark.parametrize(
