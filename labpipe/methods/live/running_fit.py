@@ -24,9 +24,10 @@ from labpipe.records.recording import Channel
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import Lags
 from labpipe.spectra.covariance import noise_shape
-from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_noise, force_window, judged_hit, noise_power
+from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_noise, judged_hit, noise_power
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.windows import force_window
 
 # Lines to either side over which the scatter is averaged: it makes the first averages usable.
 HALF_WIDTH = 7
