@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -15,13 +14,13 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import BlockCovariance, FactoredCovariance, variance_of
+from labpipe.records.response import FactoredCovariance, variance_of
 from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra import damping
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF, corrected
-from labpipe.spectra.ports import Layout, Parts, left_out, lines_left
+from labpipe.spectra.ports import Layout, Parts, left_out, lines_left, parts_at_lines
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.welch import CrossSpectra
@@ -194,6 +193,9 @@ def check_single_force(source: SampleSource) -> int:
 
 
 WINDOW = "give `impact: {force_window: ...}`"
+TAKEN_OFF = "that is taken off, as far as noise does not change"
+AFTER_HITS, IN_WINDOW = "after its hits makes H low by", "within its window moves H by"
+SHORTEN = "shorten `force_window` to a little more than the contact"
 # Standard errors of a gain common to all lines by which noise of the force may move it without a word.
 MOST_COMMON = 0.5
 # Lines to either side over which noise of the force is alike, the largest share of it that is taken off, and
@@ -234,8 +236,8 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         parts = _with_window_noise(parts, raw, averages, settings, layout, errors)
     # The power of the force is in no product of H2.
     elif settings.estimator != "H2":
-        what, low = "after its hits makes H low by", settings.estimator == "H1"
-        parts = without_force_noise(parts, errors, layout, what, WINDOW, taken_off=low)
+        low = settings.estimator == "H1"
+        parts = without_force_noise(parts, errors, layout, AFTER_HITS, WINDOW, taken_off=low)
     return replace(parts, findings=(*findings, *parts.findings))
 
 
@@ -251,9 +253,10 @@ def _with_window_noise(
     the hits aligned, and what their mean noise may be as errors that lines have in common. *raw*: at all
     lines, before the damping of a window is taken out.
     """
-    what, hint = "within its window moves H by", "shorten `force_window` to a little more than the contact"
-    named = without_force_noise(parts, errors, layout, what, hint, taken_off=False)
-    if len(named.findings) == len(parts.findings) or not (courses := force_courses(averages, layout)):
+    courses = force_courses(averages, layout)
+    hint = f"intervals count that; {SHORTEN}" if courses else SHORTEN
+    named = without_force_noise(parts, errors, layout, IN_WINDOW, hint, taken_off=False)
+    if len(named.findings) == len(parts.findings) or not courses:
         return named
     ports = zip(averages, layout.acting, layout.output_columns, strict=True)
     of_hits = [average.aligned(raw, force, outputs) for average, force, outputs in ports]
@@ -263,8 +266,6 @@ def _with_window_noise(
     covariance = corrected(aligned.covariance, np.full(raw.matrix.shape, (1 - lost) ** -0.5 + 0j))
     raw = replace(raw, matrix=aligned.matrix, covariance=covariance)
     parts, chosen = _on_lines(raw, averages, settings, layout), lines_left(raw.frequency, settings)
-    what = f"{what}, which intervals count,"
-    named = without_force_noise(parts, errors, layout, what, hint, taken_off=False)
     common, names = [], ", ".join(average.name for average in averages)
     for force, course in courses.items():
         for number, column in enumerate(course[chosen].T, 1):
@@ -272,7 +273,7 @@ def _with_window_noise(
             change[:, :, force] = parts.matrix[:, :, force] * column[:, None]
             source = f"noise of the force {layout.inputs[force].label} in its window, {names}, {number}"
             common.append(MatrixError(Uncertainty(source, 1.0, "1"), change, by_repeat=True))
-    return replace(named, errors=tuple(common))
+    return replace(parts, errors=tuple(common), findings=named.findings)
 
 
 def _averaged(averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:
@@ -298,19 +299,18 @@ def _on_lines(parts: Parts, averages: Sequence[_HitAverage], settings: FrfSettin
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
         parts = damping.parts_without_window(parts, settings.damping_window, averages[0].line_correlation())
-    return _select(parts, lines_left(parts.frequency, settings))
+    return parts_at_lines(parts, lines_left(parts.frequency, settings))
 
 
 def force_courses(averages: Sequence[_HitAverage], layout: Layout) -> dict[int, ComplexArray]:
     """By the number of a force, dH / H (n_line, n) [1] of the mean over its hits by n independent errors of
     one standard deviation: those of its noise within the window, of which lines nearer than the inverse of
-    its length share most. Empty where more than MOST_COURSES matter. Equation (frf-force-courses).
+    its length share most. Empty where there are too many. Equation (frf-force-courses).
     """
     courses: dict[int, ComplexArray] = {}
     for average, force in zip(averages, layout.acting, strict=True):
         of_force = [a for a, other in zip(averages, layout.acting, strict=True) if other == force]
-        shapes = average.window_shapes()
-        if shapes.shape[1] > MOST_COURSES:
+        if (shapes := average.window_shapes()) is None:
             return {}
         power = sum(a.force_noise()[1] for a in of_force)
         towards = np.sum([a.mean_force() for a in of_force], axis=0)
@@ -322,17 +322,33 @@ def force_courses(averages: Sequence[_HitAverage], layout: Layout) -> dict[int, 
 def _force_errors(
     averages: Sequence[_HitAverage], layout: Layout, settings: ImpactSettings
 ) -> Iterator[FloatArray]:
-    """Relative error (n_line,) [1] of every recording's mean force by its noise that is alike at many lines.
-
-    The share of the noise in the power of the force, by which H1 of n hits is low but for 1/n of it; under a
-    force window the standard deviation of what this leaves, which lines nearer than its inverse share.
-    """
+    """Of every recording's mean force, see force_error."""
     for force in layout.acting:
         of_force = [a for a, other in zip(averages, layout.acting, strict=True) if other == force]
         n = sum(average.n_hit for average in of_force)
         noise, power = (sum(parts) for parts in zip(*(a.force_noise() for a in of_force), strict=True))
-        share = np.minimum(noise / np.maximum(power, np.finfo(float).tiny), MOST_NOISE)
-        yield share * (1 - 1 / n) if settings.force_window is None else np.sqrt(share / (2 * n))
+        yield force_error(noise, power, n, windowed=settings.force_window is not None)
+
+
+def force_error(noise: FloatArray, power: FloatArray, n_hit: int, *, windowed: bool) -> FloatArray:
+    """Relative error (n_line,) [1] of the mean force of *n_hit* hits by its noise that is alike at many
+    lines; *noise* and *power* (n_line,) [N^2 s^2 per spacing^2] summed over them.
+
+    The share of the noise in the power of the force, by which H1 of n hits is low but for 1/n of it; under a
+    force window the standard deviation of what this leaves, which lines nearer than its inverse share.
+    """
+    share = np.minimum(noise / np.maximum(power, np.finfo(float).tiny), MOST_NOISE)
+    return np.asarray(np.sqrt(share / (2 * n_hit)) if windowed else share * (1 - 1 / n_hit))
+
+
+def noise_around(noise: FloatArray, n_hit: int) -> FloatArray:
+    """Power of noise (n_line,) [any unit] summed over *n_hit* hits, by the median of neighbouring lines,
+    which hum in a few lines leaves as it is, over that of as many exponential values: 2 |N|^2 is like
+    chi-square.
+    """
+    around = scipy.ndimage.median_filter(noise, 2 * AROUND + 1, mode="nearest")
+    n = max(n_hit, 1)
+    return np.asarray(around * (n / float(scipy.special.gammaincinv(n, 0.5))))
 
 
 def without_force_noise(
@@ -353,7 +369,7 @@ def without_force_noise(
         variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
     )
     factor, snr, findings = np.ones((len(size), 1, size.shape[2]), np.complex128), parts.snr, []
-    hint = f"that is taken off, as far as noise does not change; {hint}" if taken_off else hint
+    hint = f"{TAKEN_OFF}; {hint}" if taken_off else hint
     for force in dict.fromkeys(layout.acting):
         of_force = [error for error, number in zip(errors, layout.acting, strict=True) if number == force]
         error, weights = np.mean(of_force, axis=0), precision[:, :, force]
@@ -458,14 +474,8 @@ class _HitAverage:
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def force_noise(self) -> tuple[FloatArray, FloatArray]:
-        """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force with its noise, over all hits.
-
-        The noise by the median of neighbours, which hum in a few lines leaves as it is, over that of as many
-        hits' exponential values: 2 |N|^2 is like chi-square.
-        """
-        around = scipy.ndimage.median_filter(self._noise, 2 * AROUND + 1, mode="nearest")
-        median = float(scipy.special.gammaincinv(max(self.n_hit, 1), 0.5)) / max(self.n_hit, 1)
-        return around / median, self._sum[:, self.force, self.force].real
+        """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force and its noise, over all hits."""
+        return noise_around(self._noise, self.n_hit), self._sum[:, self.force, self.force].real
 
     def _note_slow(self, samples: FloatArray, hit: Hit) -> None:
         """Keep the responses of which more than the noise before the first *hit* is left at the end."""
@@ -515,14 +525,18 @@ class _HitAverage:
         hits: ComplexArray = alone[:, :, columns, None] / alone[:, :, self.force, None, None]
         return replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
 
-    def window_shapes(self) -> ComplexArray:
+    def window_shapes(self) -> ComplexArray | None:
         """Amplitudes (n_line, n) [N s per spacing] of the force's noise within the window of a hit, counted
-        from its trigger, by n independent real numbers of variance 1 that hold nearly all of it.
+        from its trigger, by n independent real numbers of variance 1 that hold nearly all of it; None where
+        these are more than MOST_COURSES.
         """
         assert self._settings.impact.force_window is not None
         length, trigger = self._settings.impact.force_window * self._source.sample_rate, self._alone[0][2]
         window = force_window(self.n_sample, trigger, length) * self._exponential
         at = np.flatnonzero(window)
+        # Twice the band times the length of the window.
+        if 2 * len(self._sum) * at.size > MOST_COURSES * self.n_sample:
+            return None
         shapes = self._turned(at - trigger) * window[at]
         _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)
         noise = np.sqrt(self.force_noise()[0] / self.n_hit / np.sum(window**2))
@@ -546,7 +560,7 @@ class _HitAverage:
         """
         other, shapes, here = copy(self), self.window_shapes(), np.array(outputs) >= 0
         variance = variance_of(parts.covariance)
-        assert variance is not None
+        assert variance is not None and shapes is not None
         weights = variance.reshape(parts.matrix.shape)[:, here, force] ** -0.5
         response = parts.matrix[:, here, force]
         if self._settings.estimator == "H1":
@@ -580,12 +594,3 @@ class _HitAverage:
         if self._settings.damping_window is None:
             return np.empty(0, np.complex128)
         return exponential_correlation(self._exponential, float(np.mean(self._origins)))
-
-
-def _select(parts: Parts, chosen: BoolArray) -> Parts:
-    arrays: dict[str, Any] = {
-        name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
-    }
-    if isinstance(parts.covariance, BlockCovariance):
-        arrays["covariance"] = replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
-    return replace(parts, **arrays)

@@ -296,6 +296,16 @@ def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
     return chosen
 
 
+def parts_at_lines(parts: Parts, chosen: BoolArray) -> Parts:
+    """The parts at the *chosen* lines (n_line,) alone."""
+    arrays: dict[str, Any] = {
+        name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
+    }
+    if isinstance(parts.covariance, BlockCovariance):
+        arrays["covariance"] = replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
+    return replace(parts, **arrays)
+
+
 def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) -> tuple[Finding, ...]:
     """Warnings for outputs of whose *power* (n_frequency, n_output) [unit^2/Hz] much is noise, by the
     *multiple* coherence (same shape).

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.damping import damp
 from labpipe.estimation.derived import reported_parameters
@@ -43,11 +43,20 @@ RINGS_ON = "the response rings on at the end of the block, lengthen `block`"
 
 
 class FollowedFit:
-    """One fit of the pipeline, followed average by average on its own lines and channels. *block*: how long
-    the response is followed after a hit [s], 0 for periods.
+    """One fit of the pipeline, followed average by average on its own lines and channels, at the *frequency*
+    [Hz] of *lines* of the averages. *block*: how long the response is followed after a hit [s], 0 for
+    periods; *windowed*: its force stands under a window.
     """
 
-    def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, block: float) -> None:
+    def __init__(
+        self,
+        settings: FitSettings,
+        layout: Layout,
+        frequency: FloatArray,
+        lines: IntArray,
+        block: float,
+        windowed: bool,
+    ) -> None:
         self.settings = settings
         self.setup, rows, columns = _setup(settings, layout)
         model = damp(settings.kind.model(self.setup), settings)
@@ -68,12 +77,14 @@ class FollowedFit:
         self._form = layout.form
         equation = running_fit.Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
         self.fit = running_fit.RunningFit(equation)
-        self.sums, self._block = running_fit.Directions(hits=block > 0), block
+        scale = 1 / np.abs(self._sensors[:, -1]) ** 2
+        at = running_fit.ForceLines(lines[self._lines], scale, windowed)
+        self.sums, self._block = running_fit.Directions(block > 0, at), block
         self.charts = charts.Charts(self.fit)
         self.model = model
         self.estimate: running_fit.Estimate | None = None
         self.widths: dict[str, list[float]] = {}
-        self.first: list[tuple[ComplexArray, int]] = []
+        self.first: list[tuple[ComplexArray, int, FloatArray | None]] = []
         self.common: Mapping[str, charts.Common] = {}
         self.by_run: Fit | None = None
         self._looked_at, self._next_look = 0, FIRST_LOOK
@@ -101,12 +112,16 @@ class FollowedFit:
             what = f"identify.{self.settings.name}: averages are equal to the last digit"
             raise FitError(what, hint="without noise no interval is known: a test cannot end by its width")
 
-    def add(self, z: ComplexArray, direction: int) -> None:
-        """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction."""
+    def add(self, z: ComplexArray, direction: int, noise: FloatArray | None) -> None:
+        """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction, and
+        the *noise* of its force.
+        """
         sums = self.sums.of(direction)
         if sums.n < 2:
-            self.first.append((z, direction))
+            self.first.append((z, direction, noise))
         sums.add(z)
+        if noise is not None and isinstance(sums, running_fit.HitSums):
+            sums.add_noise(noise)
         if sums.n == 2:
             # What another direction tells is far from where the one before left the coefficients.
             self.fit.values = None
@@ -117,14 +132,17 @@ class FollowedFit:
 
     def move(self, place: int, sign: int) -> None:
         """Take one of the first averages out (*sign* -1) or in again."""
-        z, direction = self.first[place]
-        self.sums.of(direction).add(z, sign)
+        z, direction, noise = self.first[place]
+        sums = self.sums.of(direction)
+        sums.add(z, sign)
+        if noise is not None and isinstance(sums, running_fit.HitSums):
+            sums.add_noise(noise, sign)
         self.estimate = self.fit.update(self.sums)
 
     def first_disagrees(self, place: int) -> bool:
         """Take one of the first averages out; whether it does not agree with the others."""
         self.move(place, -1)
-        z, direction = self.first[place]
+        z, direction, _ = self.first[place]
         return self.charts.jumps(z, self.sums.of(direction), self.now)
 
     def look(self) -> None:
@@ -392,7 +410,8 @@ class Bench(charts.Watch):
         self.lines = np.flatnonzero(chosen)
         length = self.cutter.n_sample / self.sample_rate if self.hits else 0.0
         block = length * (1 - self.frf.impact.pretrigger)
-        self.fits = [FollowedFit(fit, self.layout, frequency[chosen], block) for fit in self.settings]
+        of_lines = frequency[chosen], self.lines, block, self.frf.impact.force_window is not None
+        self.fits = [FollowedFit(fit, self.layout, *of_lines) for fit in self.settings]
         for fit in self.fits:
             fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
@@ -420,7 +439,7 @@ class Bench(charts.Watch):
         if self.fits[0].sums.of(direction).n < 2:
             self._unjudged.append(average.number)
         for fit, z in zip(self.fits, parts, strict=True):
-            fit.add(z, direction)
+            fit.add(z, direction, average.noise)
         self._again = self.fits[0].sums.of(direction).n == FIRST_AGAIN
         self._starts.append(average.start)
         return ""
@@ -517,7 +536,7 @@ class Bench(charts.Watch):
                 turn = "turn the shaker, or excite a second direction"
                 message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
                 findings.append(Finding("collinear", message))
-            findings += fit.sums.findings(name, self.cutter)
+            findings += fit.sums.findings(name)
             if estimate.misfit and estimate.n >= 3:
                 message = (
                     f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does not "

@@ -21,10 +21,10 @@ from labpipe.errors import DataError
 from labpipe.estimation.model import DynamicModel
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
+from labpipe.spectra import impact
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import Lags
 from labpipe.spectra.covariance import noise_shape
-from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_noise, judged_hit, noise_power
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.windows import force_window
@@ -54,18 +54,14 @@ class PeriodSums:
 
     def __init__(self) -> None:
         self.n = 0
-        self.mean = np.empty((0, 0, 0), np.complex128)
-        self._scatter = np.empty((0, 0, 0, 0), np.complex128)
+        self.mean, self._scatter = (np.zeros(1, np.complex128) for _ in range(2))
 
     def add(self, z: ComplexArray, sign: int = 1) -> None:
         """The average *z* (n_line, n_experiment, n_channel) [channels' units]; *sign* -1 takes it out."""
-        if not self.n:
-            self.mean = np.zeros(z.shape, np.complex128)
-            self._scatter = np.zeros((*z.shape, z.shape[2]), np.complex128)
         self.n += sign
         here = z - self.mean
-        self.mean += sign * here / self.n
-        self._scatter += sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
+        self.mean = self.mean + sign * here / self.n
+        self._scatter = self._scatter + sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
 
     def covariance(self) -> ComplexArray:
         """Of the mean, over neighbouring lines, (n_line, n_experiment, n_channel, n_channel) [units^2];
@@ -78,41 +74,83 @@ class PeriodSums:
         return np.asarray(moving_mean(self._scatter / scale) * scale / ((self.n - 1) * self.n))
 
 
+@dataclass(frozen=True)
+class ForceLines:
+    """Which *lines* (n_line,) of an average a fit has, and the *scale* (n_line,) [1] of squared forces there:
+    that of a sensor's response. *windowed*: under a force window.
+    """
+
+    lines: IntArray
+    scale: FloatArray
+    windowed: bool
+
+
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
     An average counts by the energy of its force. The mean is [H; 1], its covariance that of H; *force_power*
-    (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages.
+    (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages. Noise of the force is
+    taken off H as in a run, where it makes H low.
     """
 
-    def __init__(self) -> None:
-        self.n = 0
-        self._xf = self._xx = np.empty(0, np.complex128)
-        self.force_power = np.empty(0)
+    def __init__(self, at: ForceLines | None = None) -> None:
+        self.n, self._at, self._windowed = 0, at, at is not None and at.windowed
+        self._xf = self._xx = np.zeros(1, np.complex128)
+        self.force_power = self._noise = np.zeros(1)
+        self._low: tuple[FloatArray, float] | None = None
 
     def add(self, z: ComplexArray, sign: int = 1) -> None:
         """Take *z* (n_line, n_experiment, n_channel) [channels' units], the force last, in, or out (-1)."""
         x, f = z[..., :-1], z[..., -1]
-        if not self.n:
-            self._xf = np.zeros(x.shape, np.complex128)
-            self.force_power = np.zeros(f.shape)
-            self._xx = np.zeros((*x.shape, x.shape[2]), np.complex128)
         self.n += sign
-        self._xf += sign * x * f[..., None].conj()
-        self.force_power += sign * np.abs(f) ** 2
-        self._xx += sign * x[..., :, None] * x[..., None, :].conj()
+        self._xf = self._xf + sign * x * f[..., None].conj()
+        self.force_power = self.force_power + sign * np.abs(f) ** 2
+        self._xx = self._xx + sign * x[..., :, None] * x[..., None, :].conj()
+        self._low = None
+
+    def add_noise(self, power: FloatArray, sign: int = 1) -> None:
+        """Of the force in an average, (n_line_of_average,) [squared force unit], likewise."""
+        self._noise = self._noise + sign * power
+        self._low = None
+
+    def _error(self) -> tuple[FloatArray, float]:
+        """Relative error (n_line,) [1] of H by noise of the force, and how many standard errors of a gain
+        common to all lines that is. Equation (frf-force-noise).
+        """
+        if self._low is None and (self.n < 2 or not self._noise.any()):
+            self._low = np.zeros(len(self.force_power)), 0.0
+        elif self._low is None:
+            noise = impact.noise_around(self._noise, self.n)
+            noise = noise if self._at is None else noise[self._at.lines] * self._at.scale
+            error = impact.force_error(noise, self.force_power[:, 0], self.n, windowed=self._windowed)
+            h = self._xf / self.force_power[..., None]
+            weight = np.abs(h) ** 2 / np.einsum("leoo->leo", self._covariance(h)).real
+            common = np.sum(error[:, None, None] * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))
+            self._low = error, float(np.max(common))
+        return self._low
+
+    @property
+    def _factor(self) -> FloatArray:
+        """By which H is larger without noise of the force, (n_line,) [1]."""
+        error, common = self._error()
+        return 1 / (1 - error * (common > impact.MOST_COMMON and not self._windowed))
 
     @property
     def mean(self) -> ComplexArray:
         """[H; 1], (n_line, n_experiment, n_channel) [response units per force unit]."""
-        return np.pad(self._xf / self.force_power[..., None], [(0, 0), (0, 0), (0, 1)], constant_values=1)
+        h = self._xf * (self._factor[:, None] / self.force_power)[..., None]
+        return np.pad(h, [(0, 0), (0, 0), (0, 1)], constant_values=1)
 
     def covariance(self) -> ComplexArray:
         """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]. Noise of the
         force, or a force that is not recorded, makes it follow |H|^2, which changes within a few lines: it is
         smoothed over the likeliest 1 + rho |H|^2, rho of 0 where that is little better.
         """
-        power, h = self.force_power[..., None, None], self.mean[..., :-1]
+        h = self._covariance(self._xf / self.force_power[..., None]) * self._factor[:, None, None, None] ** 2
+        return np.pad(h, [(0, 0), (0, 0), (0, 1), (0, 1)])
+
+    def _covariance(self, h: ComplexArray) -> ComplexArray:
+        power = self.force_power[..., None, None]
         noise = (self._xx - power * h[..., :, None] * h[..., None, :].conj()) / (self.n - 1)
         gain = np.abs(h) ** 2
         gain, plain = gain / gain.mean(axis=0), np.einsum("leoo->leo", noise).real
@@ -122,18 +160,18 @@ class HitSums:
         best = np.where(misfit.min(axis=0) < misfit[0] - SEEN, misfit.argmin(axis=0), 0)
         root = np.sqrt(1 + SHARES[best] * gain)
         root = root[..., :, None] * root[..., None, :]
-        return np.pad(moving_mean(noise / root) * root / power, [(0, 0), (0, 0), (0, 1), (0, 1)])
+        return np.asarray(moving_mean(noise / root) * root / power)
 
-    def findings(self, fit: str, noise: float) -> list[Finding]:
-        """A warning, as of a run, of *noise* of the force in one average [squared force unit] that makes H
-        low.
-        """
-        power, size = self.force_power[..., None], np.abs(self.mean[..., :-1]) ** 2
-        low = np.broadcast_to(self.n * noise / power, size.shape)
-        weight = size / np.einsum("leoo->leo", self.covariance()[..., :-1, :-1]).real
-        common = float(np.max(np.sum(low * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))))
-        what = f"{fit}: noise of the force makes H low by"
-        return [force_noise(what, low, common)] if common > MOST_COMMON else []
+    def findings(self, fit: str) -> list[Finding]:
+        """A warning, as of a run, of noise of the force that moves H."""
+        (error, common), windowed = self._error(), self._at is not None and self._at.windowed
+        what, hint = (
+            (impact.IN_WINDOW, impact.SHORTEN)
+            if windowed
+            else (impact.AFTER_HITS, f"{impact.TAKEN_OFF}; {impact.WINDOW}")
+        )
+        message = f"{fit}: noise of the force {what}"
+        return [impact.force_noise(message, error, common, hint)] if common > impact.MOST_COMMON else []
 
 
 # Noise that follows |H|^2 over that which does not, in the mean of the lines; what the logarithm of their
@@ -145,12 +183,12 @@ Sums = PeriodSums | HitSums
 class Directions:
     """The sums of every direction that was shaken, one experiment each, once it has two averages."""
 
-    def __init__(self, hits: bool) -> None:
-        self._hits = hits
+    def __init__(self, hits: bool, at: ForceLines | None = None) -> None:
+        self._hits, self._at = hits, at
         self._sums: dict[int, Sums] = {}
 
     def of(self, direction: int) -> Sums:
-        return self._sums.setdefault(direction, HitSums() if self._hits else PeriodSums())
+        return self._sums.setdefault(direction, HitSums(self._at) if self._hits else PeriodSums())
 
     @property
     def shaken(self) -> dict[int, Sums]:
@@ -167,11 +205,9 @@ class Directions:
         """(n_line, n_experiment, n_channel) [channels' units]."""
         return np.concatenate([sums.mean for sums in self.shaken.values()], axis=1)
 
-    def findings(self, fit: str, cutter: Cutter) -> list[Finding]:
+    def findings(self, fit: str) -> list[Finding]:
         """What noise of the force does to the mean of hits."""
-        noise = cutter.force_noise if isinstance(cutter, HitCutter) else []
-        hits = [sums for sums in self.shaken.values() if isinstance(sums, HitSums)]
-        return [finding for sums in hits for finding in sums.findings(fit, float(np.mean(noise)))]
+        return [f for sums in self.shaken.values() if isinstance(sums, HitSums) for f in sums.findings(fit)]
 
     def covariance(self) -> ComplexArray:
         """Of the mean, (n_line, n_experiment, n_channel, n_channel) [products of the channels' units]."""
@@ -387,7 +423,8 @@ WEAK = 0.1
 @dataclass(frozen=True)
 class Average:
     """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
-    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI].
+    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI]. *noise*
+    (n_line,) [squared unit of the force] of the force in a hit.
     """
 
     number: int
@@ -395,6 +432,7 @@ class Average:
     amplitude: ComplexArray
     peaks: FloatArray
     fault: str = ""
+    noise: FloatArray | None = None
 
 
 class _Cutter:
@@ -504,11 +542,9 @@ class HitCutter(_Cutter):
             raise DataError(what, hint="one hammer per recording")
         self._force, self._impact = self._forces[0], settings.impact
         self._before = round(self._impact.pretrigger * self.n_sample)
-        self._search = HitSearch(self._force, self.n_sample, self._before, len(channels))
+        self._search = impact.HitSearch(self._force, self.n_sample, self._before, len(channels))
         self._sizes: list[float] = []
         self._noise, self._rest = 0.0, np.zeros(len(channels))
-        # Noise of the force in the hits, as squared amplitudes of a line.
-        self.force_noise: list[float] = []
 
     def restart(self) -> None:
         self._search.restart()
@@ -540,7 +576,7 @@ class HitCutter(_Cutter):
     def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
         self._number += 1
         raw = np.nan_to_num(samples)
-        hit = judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
+        hit = impact.judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
         fault = hit.fault
         size = float(np.max(np.abs(hit.samples[:, self._force])))
         usual = float(np.median(self._sizes)) if self._sizes else 0.0
@@ -553,9 +589,11 @@ class HitCutter(_Cutter):
             length = self._impact.force_window * self.sample_rate
             window[:, 0] = force_window(self.n_sample, trigger, length)
             windowed[:, [self._force]] *= window
-        noise = float(np.mean(noise_power(hit, self._force, self._lines)) * np.sum(window**2))
-        self.force_noise.append(noise * (2 / self.n_sample) ** 2)
-        return self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
+        noise = (
+            impact.noise_power(hit, self._force, self._lines) * np.sum(window**2) * (2 / self.n_sample) ** 2
+        )
+        average = self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
+        return replace(average, noise=noise)
 
 
 Cutter = PeriodCutter | HitCutter

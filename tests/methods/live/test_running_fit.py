@@ -148,16 +148,20 @@ def test_noise_of_the_force_follows_the_response_and_makes_it_low():
     z = np.stack([np.tile(H, (n, 1)), np.ones((n, N_LINE))], axis=2).astype(complex)
     size = np.array([0.5 * force * np.mean(np.abs(H)), force])
     z += size * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape)) / np.sqrt(2)
-    sums = HitSums()
+    sums, more = HitSums(), HitSums()
     for average in z:
         sums.add(average[:, None])
+        sums.add_noise(np.full(N_LINE, 1e-3 * force**2))
+        more.add(average[:, None])
+        more.add_noise(np.full(N_LINE, force**2))
     right = (size[0] ** 2 + np.abs(H) ** 2 * force**2) / sums.force_power[:, 0]
     ratio = sums.covariance()[:, 0, 0, 0].real / right
     # Each is the mean of 15 x 99 squares.
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)
-    (finding,) = sums.findings("s", force**2)
-    assert "makes H low by 0.04 % (median" in finding.message
-    assert sums.findings("s", 1e-3 * force**2) == []
+    (finding,) = more.findings("s")
+    assert "makes H low by 0.04 % (median" in finding.message and "taken off" in finding.message
+    np.testing.assert_allclose(more.mean[..., 0] / sums.mean[..., 0], 1 + 0.99 * force**2, rtol=2e-5)
+    assert sums.findings("s") == []
 
 
 def test_a_period_of_another_level_of_noise_is_a_jump_and_a_drift_a_change():
