@@ -20,7 +20,7 @@ from labpipe.estimation.derived import reported_parameters
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import chosen_ports
-from labpipe.estimation.model import DynamicModel, Setup
+from labpipe.estimation.model import DynamicModel, Equation, Setup
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate as FitEstimate
 from labpipe.estimation.transfer_mode import transfer_of
@@ -75,7 +75,7 @@ class FollowedFit:
         self._sensors = np.array([sensor_response(sensors[port], chosen) for port in ports]).T
         self._sensors[:, : len(rows)] *= (2j * np.pi * chosen[:, None]) ** layout.derivatives
         self._form = layout.form
-        equation = running_fit.Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
+        equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
         self.fit = running_fit.RunningFit(equation)
         scale = 1 / np.abs(self._sensors[:, -1]) ** 2
         at = running_fit.ForceLines(lines[self._lines], scale, windowed)
@@ -242,8 +242,9 @@ class FollowedFit:
         """What the forces that did not act yet would save of the averages until coefficient *number* has the
         half-width *goal* [parameter unit]; None where all did.
         """
-        shaken = self.sums.shaken
-        forces = [n for n, column in enumerate(self._columns) if column not in shaken]
+        sizes = np.linalg.norm(self.sums.mean[..., len(self.setup.outputs) :], axis=0)
+        acted = np.any(sizes >= running_fit.ACTS * sizes.max(axis=1, keepdims=True), axis=0)
+        forces = [int(n) for n in np.flatnonzero(~acted)]
         if not forces:
             return None
         if self._by_turns[0] != self.now.n:
@@ -322,8 +323,6 @@ def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
 OUT_OF_REACH = 20
 # Averages of a direction after which its first two, with none before them, are held against the others.
 FIRST_AGAIN = 5
-# A force acts in an average when its amplitude is this share of the strongest one's.
-ACTS = 0.1
 
 
 @dataclass(eq=False, repr=False)
@@ -370,7 +369,7 @@ class Bench(charts.Watch):
         if not fault and not self.fits:
             self._waiting.append(average)
             # Noise is told by two averages of one direction.
-            alike = [a for a in self._waiting if self._shaken(a)[0] == self._shaken(average)[0]]
+            alike = [earlier for earlier in self._waiting if earlier.direction == average.direction]
             self.averages = len(self._waiting)
             if len(alike) < 2:
                 return self._update(())
@@ -384,11 +383,10 @@ class Bench(charts.Watch):
             event += f" is left out: {fault}"
         return self._update((event,))
 
-    def _shaken(self, average: running_fit.Average) -> tuple[int, float]:
-        """The number of an average's strongest force, and the size of all its forces [N]."""
+    def _level(self, average: running_fit.Average) -> float:
+        """The size of all forces of an average [N]."""
         force = average.amplitude[:, list(self.layout.input_columns[0])]
-        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
-        return int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
+        return float(np.sqrt(np.mean(np.abs(force) ** 2)))
 
     def _begin(self, alike: Sequence[running_fit.Average]) -> None:
         frequency = self.cutter.frequency
@@ -402,7 +400,7 @@ class Bench(charts.Watch):
             raw = LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size))
             spectrum = smoothed_noise(raw, self.frf.smooth)
             for column, size in zip(self.layout.input_columns[0], level, strict=True):
-                if size >= ACTS * level.max():
+                if size >= running_fit.ACTS * level.max():
                     excited &= excited_lines(spectrum, [column])
         chosen = excited & lines_in(frequency, self.frf.band, self.frf.exclude)
         if not chosen.any():
@@ -417,8 +415,7 @@ class Bench(charts.Watch):
 
     def _follow(self, average: running_fit.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
-        # Directions are shaken one after the other: an average belongs to that of its strongest force.
-        direction, level = self._shaken(average)
+        direction, level = average.direction, self._level(average)
         parts = [fit.picked(average) for fit in self.fits]
         for fit, z in zip(self.fits, parts, strict=True):
             if fit.estimate is None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy import fft
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import f_tail
 from labpipe.errors import DataError
-from labpipe.estimation.model import DynamicModel
+from labpipe.estimation.model import Equation
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
 from labpipe.spectra import impact
@@ -214,51 +213,6 @@ class Directions:
         return np.concatenate([sums.covariance() for sums in self.shaken.values()], axis=1)
 
 
-class Equation:
-    """e = B F - Z X of a model on its lines, and its derivatives by the coefficients.
-
-    *view* (n_line,) [1/s^n] and *offset* [1] make receptance of the measured form: X = (Y - offset F) / view.
-    """
-
-    def __init__(
-        self, model: DynamicModel, omega: FloatArray, view: ComplexArray | None = None, offset: float = 0.0
-    ) -> None:
-        self.model, self.omega = model, omega
-        self._view = np.ones(omega.size, np.complex128) if view is None else view
-        self._offset = offset
-        self.n_output, self.n_force = model.constant.force.shape
-
-    @cached_property
-    def _terms(self) -> tuple[ComplexArray, FloatArray]:
-        """Z_p(w) (n_parameter, n_line, n_output, n_output) and B_p (n_parameter, n_output, n_force)."""
-        w = self.omega[:, None, None]
-        stiffness = [
-            t.matrices.stiffness + 1j * w * t.matrices.damping - w**2 * t.matrices.mass
-            for t in self.model.terms
-        ]
-        return np.array(stiffness, np.complex128), np.array([t.matrices.force for t in self.model.terms])
-
-    def gain(self, values: FloatArray) -> ComplexArray:
-        """G of e = G z at the coefficients, (n_line, n_output, n_channel) [N per channel's unit]."""
-        stiffness = self.model.dynamic_stiffness(values, self.omega)
-        of_motion = -stiffness / self._view[:, None, None]
-        shape = (self.omega.size, self.n_output, self.n_force)
-        force = np.broadcast_to(self.model.whole(values).force.astype(np.complex128), shape)
-        force = force - self._offset * of_motion if self._offset else force
-        return np.concatenate([of_motion, force], axis=2)
-
-    def slopes(self, z: ComplexArray) -> ComplexArray:
-        """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""
-        force = z[..., self.n_output :]
-        shift = self._offset * force[..., : self.n_output] if self._offset else 0.0
-        motion = (z[..., : self.n_output] - shift) / self._view[:, None, None]
-        stiffness, factors = self._terms
-        moved = np.einsum("plij,lej->leip", stiffness, motion)
-        if np.any(factors):
-            moved = moved - np.einsum("pij,lej->leip", factors, force)
-        return -moved
-
-
 @dataclass(frozen=True)
 class Estimate:
     """Where a running fit stands after *n* averages, the *least* in one direction.
@@ -412,6 +366,9 @@ def normal_equations(
 
 # Share of the cross spectrum of two forces that one delay explains where they are the same signal.
 SAME_SIGNAL = 0.7
+# Likeness of the proportions of two forces from which on they shake the same direction, and share of the
+# largest one's amplitude with which a force acts.
+SAME_FORCES, ACTS = 0.8, 0.1
 # Least growth of the energy of a force that begins to shake its direction.
 GROWN = 4.0
 # A first hit stands out of the noise before it by so many times its rms.
@@ -424,7 +381,7 @@ WEAK = 0.1
 class Average:
     """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
     *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI]. *noise*
-    (n_line,) [squared unit of the force] of the force in a hit.
+    (n_line,) [squared unit of the force] of the force in a hit; *direction*: number of that of its forces.
     """
 
     number: int
@@ -433,6 +390,7 @@ class Average:
     peaks: FloatArray
     fault: str = ""
     noise: FloatArray | None = None
+    direction: int = 0
 
 
 class _Cutter:
@@ -471,7 +429,7 @@ class PeriodCutter(_Cutter):
         # Energies of the forces in the last period, and for how many the strongest has been the same.
         self._energies: FloatArray = np.zeros(len(self._forces))
         self._alike = 0
-        # The first force of each direction, and what turns those of the present recording to its phases.
+        # The first forces of each direction, and what turns those of the present recording to their phases.
         self._first: dict[int, ComplexArray] = {}
         self._turns: dict[int, ComplexArray] = {}
 
@@ -493,8 +451,7 @@ class PeriodCutter(_Cutter):
                 self._left -= 1
                 continue
             self._number += 1
-            average = self._average(start, period, np.max(np.abs(moved), axis=0), moved, "")
-            yield replace(average, amplitude=average.amplitude * self._turn(average)[:, None])
+            yield self._turn(self._average(start, period, np.max(np.abs(moved), axis=0), moved, ""))
 
     def _turned(self, energies: FloatArray) -> bool:
         """Whether another force than in several periods before is the strongest now, and grew to be it; by
@@ -506,27 +463,38 @@ class PeriodCutter(_Cutter):
         self._energies, self._alike = energies, self._alike + 1 if same else 1
         return bool(turned)
 
-    def _turn(self, average: Average) -> ComplexArray:
-        """What turns a period to the phases that the force of its direction had first, (n_line,) [1]: a
-        recording that was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the
-        cross-correlation of the forces; line by line where these are other phases.
+    def _direction(self, forces: ComplexArray) -> int:
+        """The number of the direction whose *forces* (n_line, n_force) were in the same proportion to each
+        other, line by line, at first; of hardly any force the nearest, of another proportion a new one.
+        """
+        likeness = {
+            number: np.sum(np.abs(np.sum(first * forces.conj(), axis=1)))
+            / max(np.linalg.norm(first, axis=1) @ np.linalg.norm(forces, axis=1), np.finfo(float).tiny)
+            for number, first in self._first.items()
+        }
+        nearest = max(likeness, key=likeness.__getitem__, default=0)
+        weak = any(np.linalg.norm(forces) < ACTS * np.linalg.norm(first) for first in self._first.values())
+        return nearest if weak or likeness.get(nearest, 0.0) > SAME_FORCES else len(likeness)
+
+    def _turn(self, average: Average) -> Average:
+        """A period by its direction, turned to the phases that the forces of this had first: a recording that
+        was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the cross-correlation
+        of the forces; line by line where these are other phases.
         """
         forces = average.amplitude[:, self._forces]
-        direction = int(np.argmax(np.sum(np.abs(forces) ** 2, axis=0)))
-        force = forces[:, direction]
-        if not force.any():
-            return np.ones_like(force)
-        if self._first.setdefault(direction, force) is force:
-            self._turns[direction] = np.ones_like(force)
+        direction = self._direction(forces)
+        if self._first.setdefault(direction, forces) is forces or not forces.any():
+            self._turns[direction] = np.ones(len(forces), np.complex128)
         if direction not in self._turns:
-            cross = self._first[direction] * force.conj()
+            cross = np.sum(self._first[direction] * forces.conj(), axis=1)
             delay = np.argmax(fft.irfft(np.pad(cross, (self._lines.start, 0)), self.n_sample))
             w, size = 2 * np.pi * self.frequency / self.sample_rate, np.abs(cross)
             rest = np.angle(cross * np.exp(1j * w * delay))
             turn = np.exp(-1j * w * (delay - np.sum(size * w * rest) / np.sum(size * w**2)))
             alike = np.sum((cross * turn.conj()).real) > SAME_SIGNAL * np.sum(size)
             self._turns[direction] = turn if alike else np.exp(1j * np.angle(cross))
-        return self._turns[direction]
+        turned = average.amplitude * self._turns[direction][:, None]
+        return replace(average, amplitude=turned, direction=direction)
 
 
 class HitCutter(_Cutter):
