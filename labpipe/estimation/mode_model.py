@@ -257,7 +257,7 @@ class ModeModel:
             return -weighted(at(x.tobytes())[1])
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            # Where there are no numbers, the descent would end as well.
+            # Where there are not numbers, the descent would end as well.
             first = residual(theta)
             if first.size < theta.size or not np.all(np.isfinite(first)):
                 raise FitError("the fit has no minimum")

@@ -156,14 +156,16 @@ class ChannelUncertainty:
 
 @dataclass(frozen=True)
 class MatrixError:
-    """What an error that no single channel carries does to a measured matrix: a number in a sum of channels.
+    """What an error that no single channel carries does to a measured matrix: a number in a sum of channels,
+    noise of the force within its window.
 
     *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the
-    *uncertainty*.
+    *uncertainty*. *by_repeat*: each repeat has its own, so that their scatter shows it.
     """
 
     uncertainty: Uncertainty
     change: ComplexArray
+    by_repeat: bool = False
 
     def __post_init__(self) -> None:
         what = f"change by {self.uncertainty.source}"

@@ -344,7 +344,7 @@ def test_faults_have_their_place(
         ({"file": "a", "columns": {"frequency": "1"}, "form": "mobility"}, "name no element of H"),
         (
             {"file": "a", "columns": {"frequency": "1", "re": "2"}, "form": "mobility"},
-            "re alone is no complex number",
+            "re alone is not a complex number",
         ),
         (
             {"file": "a", "columns": {"re": "2", "im": "3"}, "form": "mobility"},
