@@ -366,6 +366,7 @@ def _vectors(
         gains=built.gains[test.name],
         phases=built.phases[test.name],
         changes={built.sources[source]: by_probe(change) for source, change in run.changes().items()},
+        net=None if run.baseline is None else (run, signs * run.baseline_changes()),
     )
 
 

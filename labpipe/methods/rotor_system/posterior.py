@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from operator import attrgetter, itemgetter
 
 import numpy as np
@@ -18,8 +19,15 @@ from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.methods.rotor.posterior import Posterior, Problem, root_of
-from labpipe.methods.rotor_system.evidence import Deflections, FreeModes, Responses, SystemEvidence
+from labpipe.methods.rotor_system.evidence import (
+    Deflections,
+    FreeModes,
+    Responses,
+    RunUpVectors,
+    SystemEvidence,
+)
 from labpipe.methods.rotor_system.model import SystemModel
+from labpipe.methods.run_ups.misfit import shared_noise
 from labpipe.records.finding import NORMAL
 
 # Shares of an amplitude that count as noise in the first steps, one after the other.
@@ -93,6 +101,20 @@ class SystemPosterior(Posterior[SystemModel]):
             test.name: (float(r @ r), max(1, round(r.size / getattr(test, "shared", 1.0))))
             for test, (r, _) in zip(self.tests, self.by_test, strict=True)
         }
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """V + V E V of all unknowns (n_unknown, n_unknown) [products of their units], E the `shared_noise` of
+        run-ups less one baseline.
+        """
+        plain, nets = super().covariance, zip(self.tests, self.by_test, strict=True)
+        parts = (
+            (test.net[0], part)
+            for test, (_, slopes) in nets
+            if isinstance(test, RunUpVectors) and test.net is not None
+            for part in test.by_baseline(slopes)
+        )
+        return plain + plain @ shared_noise(parts, len(plain)) @ plain
 
     @property
     def standard_errors(self) -> FloatArray:
@@ -266,15 +288,17 @@ def pulls(posterior: SystemPosterior) -> list[Pull]:
     residual r_t, is N(0, V_-t - V) where all is well (Hausman 1978). Equation (system-pull).
     """
     model, all_pulls = posterior.model, []
-    information, single = np.linalg.inv(posterior.covariance), model.in_group("")
+    # As the weights count tests, each by itself.
+    covariance, single = posterior.free_covariance, model.in_group("")
+    information = np.linalg.inv(covariance)
     for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
         without = np.linalg.inv(information - jacobian.T @ jacobian)
         shift = without @ jacobian.T @ residual
-        spread = np.sqrt(np.maximum(np.diag(without - posterior.covariance), 1e-30))
+        spread = np.sqrt(np.maximum(np.diag(without - covariance), 1e-30))
         # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
         z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
         worst = int(np.argmax(np.abs(z)))
-        wider = np.sqrt(np.diag(without) / np.diag(posterior.covariance))
+        wider = np.sqrt(np.diag(without) / np.diag(covariance))
         all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), wider))
     return all_pulls
 

@@ -625,3 +625,8 @@ def test_probes_of_one_calibrator_err_together(tmp_path: Path) -> None:
         value, error, _ = error_by(tmp_path, test, run, name)
         assert value == pytest.approx(5e-5 if name.endswith("re") else 0, abs=5e-8)
         assert error == pytest.approx(5e-5 * np.hypot(part, 0.01 / 2), rel=0.03)
+    # What it was read less of comes to the probes along the axes as it does itself.
+    turned, less = replace(test, axes="load"), replace(run, baseline=run)
+    whole = build(own, SURE, {"run": sensors_of(turned, less)})
+    read = evidence_of(turned, whole, own, cast("Work", None), less)
+    assert read.net is not None and read.net[1][0, 1, 1].tolist() == pytest.approx(0.01 * read.measured[1])
