@@ -59,9 +59,9 @@ class ElementColumns(Settings):
 
     def __post_init__(self) -> None:
         if self.given and self.given not in PARTS:
-            what = "alone is" if len(self.given) == 1 else "together are"
+            what = "alone is not" if len(self.given) == 1 else "together are not"
             hint = f"{_KNOWN_PARTS} are needed"
-            raise ConfigError(f"{' and '.join(self.given)} {what} no complex number", hint=hint)
+            raise ConfigError(f"{' and '.join(self.given)} {what} a complex number", hint=hint)
 
     @property
     def given(self) -> tuple[str, ...]:

@@ -169,6 +169,10 @@ class SystemTest(Settings):
         return number
 
 
+# Separation margins and the logarithmic decrement of level I.
+API = "API 617"
+
+
 @dataclass(frozen=True, kw_only=True)
 class RotorSystemSettings(Settings):
     """The ``rotor_system:`` section; *system*: contents of `rotor`."""
@@ -197,6 +201,12 @@ class RotorSystemSettings(Settings):
         unit="Hz",
         default=(),
     )
+    standard: str = setting(
+        "choice",
+        "whose limits at the rotor file's speed are findings where they are not kept; default: of none",
+        choices=(API,),
+        default="",
+    )
     draws: int = setting("integer", "draws of the posterior for critical speeds and weights", default=200)
     seed: int = setting("integer", "of these draws", default=1)
     system: RotorSystem | None = None
@@ -217,6 +227,9 @@ class RotorSystemSettings(Settings):
                 hint = f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]"
                 raise SettingError("rotor", "nothing of the rotor is unknown", hint)
             self._check_places(self.system)
+            if self.standard and self.system.rig.speed <= 0:
+                what = f"{self.standard} limits what a rotor does at its speed, and the rotor file has none"
+                raise SettingError("standard", what, "write speed: 4200 rpm in the rotor file")
 
     def _check_tests(self) -> None:
         if not self.tests:
