@@ -18,6 +18,10 @@ CLIPPED_RUN = 3
 # leaves its extreme at once, as white noise does, no run is long. The slow turn of a sine holds 5 times as
 # many.
 CLIPPED_CROWD, NEXT_VALUES = 10, 15
+# Runs in coarse steps, where each of the TURN_VALUES next values comes REPEATED times, say nothing of fewer
+# than TURN times as many samples: a sine that turns d steps above its extreme has sqrt(1 + k/d) -
+# sqrt(1 + (k - 1)/d) times as many at the k-th next value, for d = 1 the TURN-th part on the mean.
+TURN, TURN_VALUES, REPEATED = 3, 3, 2
 # Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
 AT_LIMIT = 1e-9
 
@@ -103,12 +107,15 @@ class EndValues:
 
     def clipped(self) -> tuple[int, int]:
         """(clipped samples, first of them); none where the extreme is zero: there a window has set the force
-        to zero, or nothing acted.
+        to zero, or nothing acted; nor where they are the slow turn of a signal in few steps.
         """
         if self._extreme == 0:
             return 0, -1
         if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
             return int(self._counts[-1]), self._first
+        beside = self._counts[-1 - TURN_VALUES : -1]
+        if beside.size == TURN_VALUES and beside.mean() >= max(REPEATED, self._counts[-1] / TURN):
+            return 0, -1
         return self._in_runs, self._first_in_runs
 
 

@@ -99,6 +99,15 @@ def test_a_gap_at_the_start_of_a_large_offset_keeps_the_level() -> None:
     assert screened(samples, 2).rms[0] == pytest.approx(np.nanstd(samples), rel=1e-6)
 
 
+@pytest.mark.parametrize("period", [150.0, 701.3])
+def test_the_slow_turn_of_a_sine_in_few_steps_is_no_clipping(period: float) -> None:
+    """Whole numbers: some tens of samples at each turn are equal. Then three steps are cut off."""
+    sine = 50 * np.sin(2 * np.pi * np.arange(20_000) / period)
+    assert screened(np.round(sine)[:, None], 1000).findings() == ()
+    (finding,) = screened(np.minimum(np.round(sine), 47)[:, None], 1000).findings()
+    assert finding.code == "clipped" and f"{np.sum(np.round(sine) >= 47)} samples" in finding.message
+
+
 def test_a_channel_without_any_number_is_a_gap_and_nothing_else() -> None:
     screen = screened(np.full((20, 1), np.nan), 7)
     assert [finding.code for finding in screen.findings()] == ["gap"]
