@@ -398,10 +398,16 @@ class TimeAxisScreen:
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 what = f"the time steps of column '{self._column}' are not equal"
+                at, whole = f"{extreme:g} s at sample {sample}", round(extreme / self._typical)
+                # A sampling rate in place of such times would move all that follows.
+                exact = abs(extreme - whole * self._typical) <= allowed + resolution
+                if whole != 1 and exact and step > FINE * resolution:
+                    lost = f"{whole - 1} sample(s) are lost" if whole else "a row stands twice"
+                    hint = f"{lost} there; cut the recording, or record it again"
+                    raise DataError(f"{what}: {at}, {self._typical:g} s else", hint=hint)
                 hint = "a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
                 raise DataError(
-                    f"{what}: {extreme:g} s at sample {sample}, {step:g} s on average",
-                    hint=f"{hint}rig file instead of time",
+                    f"{what}: {at}, {step:g} s on average", hint=f"{hint}rig file instead of time"
                 )
         if not 1 / FASTEST <= step <= FASTEST:
             what = f"the time steps of column '{self._column}' are {step:g} s"
