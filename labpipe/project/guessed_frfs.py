@@ -13,13 +13,13 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, unit_of
+from labpipe.quantities import unit_of
 from labpipe.raw_files import frf_described
 from labpipe.raw_files.table import TEXT_SUFFIXES
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import FRF, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import frf_values, titled_form
-from labpipe.records.frf_layout import MECHANICAL
+from labpipe.records.frf_layout import form_of_unit
 from labpipe.records.response import FORMS
 
 _NAMES = (
@@ -109,12 +109,8 @@ def _of_table(path: Path) -> GuessedFrf | None:
 
 
 def _unit_of_frf(unit: str) -> str:
-    for form in MECHANICAL:
-        try:
-            return FORMS[form] if unit_of(unit, FORMS[form]).factor == 1 else unit
-        except UnitError:
-            continue
-    return ""
+    form = form_of_unit(unit)
+    return FORMS[form] if form and unit_of(unit, FORMS[form]).factor == 1 else unit if form else ""
 
 
 def _without_header(table: frf_described.TextColumns) -> GuessedFrf | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -32,6 +33,7 @@ from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.settings_reader import DECIDE
 from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation
+from labpipe.raw_files.joined_table import JoinedTable
 from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
@@ -90,11 +92,34 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
         together = _rotor_lines(files, paths, running)
         files = [file for file, turns in zip(files, running, strict=True) if not turns]
         paths = [path for path, turns in zip(paths, running, strict=True) if not turns]
-    first = first_look(open_table(files[0]))
+    joined = _one_run(files) if len(files) > 1 else None
+    first = first_look(joined or open_table(files[0]))
+    if joined:
+        paths = [f"{{join: {_quoted(paths)}}}"]
     pipeline = _pipeline(first, files, paths) + "".join(f"{line}\n" for line in together)
     if "model: modal" in pipeline:
         first = first.with_forces_apart()
     return Scaffold(_rig(first, files[0]), pipeline)
+
+
+def _one_run(files: Sequence[Path]) -> JoinedTable | None:
+    """The files as one table where no two of them hold a channel of one name and unit: a force in one, its
+    response in another. None for the recordings of several tests.
+    """
+    tables, held = [open_table(file) for file in files], Counter[tuple[str, str | None]]()
+    common: list[str] = []
+    for table in tables:
+        names, rows = first_guess.first_rows(table)
+        times = first_guess.time_columns(names, rows)
+        common = [name for name in times if name in common or table is tables[0]]
+        held.update((name, table.units.get(name)) for name in names if name not in times)
+    if max(held.values(), default=2) > 1:
+        return None
+    with suppress(DataError):
+        joined = JoinedTable(tables, common[0] if common else None)
+        first_guess.first_rows(joined)
+        return joined
+    return None
 
 
 def _is_run_up(file: Path) -> bool:
@@ -237,7 +262,7 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
 
 def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
     if len(paths) == 1:
-        return [f"{kind}: {_quoted(paths[0])}"]
+        return [f"{kind}: {paths[0] if paths[0][0] == '{' else _quoted(paths[0])}"]
     pairs = ((_quoted(file.stem), _quoted(path)) for file, path in zip(files, paths, strict=True))
     entries = (f"  - {{name: {name}, {kind}: {path}}}" for name, path in pairs)
     return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]

@@ -12,8 +12,12 @@ from labpipe.records.recording import Envelope, Spectrum
 
 # Least correlation of two periods of a periodic signal; that of noise is far below.
 ALIKE = 0.9
-# Hits: least peak over rms, and least share of samples below a hundredth of the peak.
-HIT_CREST, RESTING = 8.0, 0.7
+# Hits: least peak over rms, share of the peak below which a force rests, and least share of samples that do.
+HIT_CREST, AT_REST, RESTING = 8.0, 0.01, 0.7
+# Share of the longest time between hits within which a second one is a bounce of the first.
+BOUNCE = 0.05
+# Samples before a hit's first tenth of its peak.
+AHEAD = 10
 # Least power of an excited line relative to the strongest one: -30 dB.
 EXCITED = 1e-3
 # A random recording is cut into about this many blocks, so that its averages number some thirty with 50 %
@@ -39,8 +43,15 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
     hits = hit_starts(force)
     if hits.size:
         gaps = np.diff([*hits, force.size])
+        # A bounce of the hammer follows at once; `frf` names it as a double hit.
+        hits = hits[np.append(True, gaps[:-1] > BOUNCE * gaps.max())]
+        gaps = np.diff([*hits, force.size])
         length = round_down(int(min(gaps)))
-        return Excitation("impact", length, _band(force, sample_rate), int(hits.size))
+        # A window would take off a hit in the first samples, where a trigger leaves it; rest may drift.
+        pushes = np.where(np.abs(force) < AT_REST * np.max(np.abs(force)), 0.0, force)
+        begins = np.minimum(np.maximum(hits - AHEAD, 0), force.size - length)
+        pushes = np.array([pushes[begin : begin + length] for begin in begins])
+        return Excitation("impact", length, _band(pushes, sample_rate), int(hits.size))
     force = force - np.mean(force)
     period = find_period(force)
     if period:
@@ -48,7 +59,9 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
         lines = _excited(np.abs(fft.rfft(whole.mean(axis=0))) ** 2) * sample_rate / period
         return Excitation("periodic", period, (float(lines[0]), float(lines[-1])), len(whole))
     length = round_down(max(force.size // BLOCKS, 2))
-    return Excitation("random", length, _band(force, sample_rate), force.size // length)
+    n = max(force.size // BLOCKS, 8)
+    blocks = force[: force.size // n * n].reshape(-1, n) * np.hanning(n)
+    return Excitation("random", length, _band(blocks, sample_rate), force.size // length)
 
 
 def find_period(signal: FloatArray) -> int:
@@ -84,7 +97,7 @@ def hit_starts(force: FloatArray) -> IntArray:
     most of the time.
     """
     peak, rms = float(np.max(np.abs(force))), float(np.sqrt(np.mean(force**2)))
-    if not 0 < rms < np.inf or peak < HIT_CREST * rms or np.mean(np.abs(force) < 0.01 * peak) < RESTING:
+    if not 0 < rms < np.inf or peak < HIT_CREST * rms or np.mean(np.abs(force) < AT_REST * peak) < RESTING:
         return np.empty(0, np.intp)
     above = np.flatnonzero(np.abs(force) > 0.1 * peak)
     return above[np.concatenate([[True], np.diff(above) > force.size // 1000 + 10])]
@@ -101,11 +114,9 @@ def _excited(power: FloatArray) -> IntArray:
     return np.flatnonzero(above_zero > EXCITED * above_zero.max())
 
 
-def _band(force: FloatArray, sample_rate: float) -> tuple[float, float]:
-    length = max(force.size // BLOCKS, 8)
-    blocks = force[: force.size // length * length].reshape(-1, length)
-    power = np.mean(np.abs(fft.rfft(blocks * np.hanning(length), axis=1)) ** 2, axis=0)
-    lines = _excited(power) * sample_rate / length
+def _band(blocks: FloatArray, sample_rate: float) -> tuple[float, float]:
+    power = np.mean(np.abs(fft.rfft(blocks, axis=1)) ** 2, axis=0)
+    lines = _excited(power) * sample_rate / blocks.shape[1]
     if not lines.size:
         # A force that does not vary, or holds no number, has power nowhere.
         return 0.0, 0.4 * sample_rate

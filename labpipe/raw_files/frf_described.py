@@ -20,7 +20,7 @@ from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_va
 from labpipe.raw_files.simcenter import Signals, signals_of
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
 from labpipe.raw_files.text_table import find_layout, plain_suffix, rows_of_fields
-from labpipe.records.frf_layout import AXES, ElementColumns, FrfColumns, FrfLayout
+from labpipe.records.frf_layout import AXES, OF_AN_FRF, ElementColumns, FrfColumns, FrfLayout, form_of_unit
 from labpipe.records.response import FORMS, FrequencyResponse
 from labpipe.registry import nearest
 
@@ -351,7 +351,7 @@ def _check_stated(source: DescribedColumns, column: str, part: str, layout: FrfL
             f"{source.word} '{column}' is in {stated} by the file's own header, in {described} by the "
             "entry under frfs"
         )
-        raise DataError(what, source.path, f"write unit: {stated}")
+        raise DataError(what, source.path, f"write unit: {stated}" if form_of_unit(stated) else OF_AN_FRF)
 
 
 def _check_phase(source: DescribedColumns, column: str, part: str) -> None:

@@ -20,6 +20,8 @@ from labpipe.records.rig import time_scale
 SAME_RATE = 1e-4
 # Share of a step by which the times of one row may differ between files.
 BESIDE = 0.1
+# Share of steps that differ where samples are lost; digits and other rates make more of them.
+MOST_GAPS = 0.05
 
 
 class JoinedTable:
@@ -97,6 +99,9 @@ class JoinedTable:
                 name, first = self._tables[members[number]].path.name, f"{self.path.name} ({steps[0]:g})"
                 what = f"the time steps of {name} ({step:g}) differ from those of {first}"
                 hint = "where that comes from times of few digits, by: sample joins row by row"
+                gaps = np.abs(np.diff(firsts[number][:, 0]) / steps[0] - 1) > BESIDE
+                if 0 < gaps.sum() < MOST_GAPS * gaps.size:
+                    hint = f"samples are lost or stand twice after its row {int(np.argmax(gaps)) + 1}"
                 raise DataError(what, hint=hint)
         for number, start in enumerate(starts):
             offset = (start - starts[0]) / steps[0]

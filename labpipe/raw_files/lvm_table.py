@@ -35,7 +35,8 @@ UNITS = {
 class LvmHeader:
     """What stands above the numbers; *titles* and *units* have one entry per field, *first_line* counts from
     1. spectrum: the X values are frequencies [Hz], and no rate follows from their steps. starts: X0 of every
-    field [s]; counts: its number of samples, where channels differ in their rates, else 0.
+    field [s]; step: Delta_X of the first [s]; counts: its number of samples, where channels differ in their
+    rates, else 0.
     """
 
     delimiter: str
@@ -47,6 +48,7 @@ class LvmHeader:
     first_line: int
     spectrum: bool
     starts: tuple[float, ...]
+    step: float
     rates: tuple[float, ...] = ()
     counts: tuple[int, ...] = ()
 
@@ -121,6 +123,7 @@ class LvmTable:
 
     def _data_lines(self) -> Iterator[tuple[int, str]]:
         inside, left, stated = False, self._count or np.inf, 0
+        first_row, last_row, read = "", "", 0
         for number, line in enumerate(self._lines(), 1):
             first = line.split(self._header.delimiter, 1)[0]
             if first == X_VALUE:
@@ -133,6 +136,7 @@ class LvmTable:
                 inside = False
             elif inside and left > 0 and line.strip():
                 yield number, line
+                first_row, last_row, read = first_row or line, line, read + 1
                 left -= 1
                 stated -= 1
             elif first == "Samples":
@@ -141,7 +145,13 @@ class LvmTable:
                 stated = max(stated, 0) + (self._count or max(counts, default=0))
         if stated > 0:
             what = f"ends {stated} sample(s) before the last one that its header states"
-            raise DataError(what, self.path, "the file is cut off")
+            hint, step = "the file is cut off", self._header.step
+            if X_VALUE in self._places and step and read > 1:
+                begin, end = (self._numbers(row, [0], 0)[0] for row in (first_row, last_row))
+                if (apart := (end - begin) / (read - 1)) > 1.5 * step:
+                    what += f": rows are {apart:g} s apart (X_Value), samples {step:g} s (Delta_X)"
+                    hint = "rows were left out after it was written; save the titles and rows alone as .txt"
+            raise DataError(what, self.path, hint)
 
     def _numbers(self, line: str, places: Sequence[int], number: int) -> list[float]:
         fields = line.split(self._header.delimiter)
@@ -191,6 +201,7 @@ def _header(
         first_line=first_line,
         spectrum=spectrum,
         starts=tuple(_seconds(text, decimal) for text in padded["X0"]),
+        step=_seconds(texts[0], decimal),
     )
     if len(set(texts)) > 1 and not spectrum:
         # Every channel has X values of its own, or none: its step says the same.

@@ -18,6 +18,10 @@ CLIPPED_RUN = 3
 # leaves its extreme at once, as white noise does, no run is long. The slow turn of a sine holds 5 times as
 # many.
 CLIPPED_CROWD, NEXT_VALUES = 10, 15
+# Runs in coarse steps, where each of the TURN_VALUES next values comes REPEATED times, say nothing of fewer
+# than TURN times as many samples: a sine that turns d steps above its extreme has sqrt(1 + k/d) -
+# sqrt(1 + (k - 1)/d) times as many at the k-th next value, for d = 1 the TURN-th part on the mean.
+TURN, TURN_VALUES, REPEATED = 3, 3, 2
 # Distance to the end of the range (share of the range) that counts as the end itself: unit conversion rounds.
 AT_LIMIT = 1e-9
 
@@ -103,12 +107,15 @@ class EndValues:
 
     def clipped(self) -> tuple[int, int]:
         """(clipped samples, first of them); none where the extreme is zero: there a window has set the force
-        to zero, or nothing acted.
+        to zero, or nothing acted; nor where they are the slow turn of a signal in few steps.
         """
         if self._extreme == 0:
             return 0, -1
         if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
             return int(self._counts[-1]), self._first
+        beside = self._counts[-1 - TURN_VALUES : -1]
+        if beside.size == TURN_VALUES and beside.mean() >= max(REPEATED, self._counts[-1] / TURN):
+            return 0, -1
         return self._in_runs, self._first_in_runs
 
 
@@ -391,10 +398,16 @@ class TimeAxisScreen:
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 what = f"the time steps of column '{self._column}' are not equal"
+                at, whole = f"{extreme:g} s at sample {sample}", round(extreme / self._typical)
+                # A sampling rate in place of such times would move all that follows.
+                exact = abs(extreme - whole * self._typical) <= allowed + resolution
+                if whole != 1 and exact and step > FINE * resolution:
+                    lost = f"{whole - 1} sample(s) are lost" if whole else "a row stands twice"
+                    hint = f"{lost} there; cut the recording, or record it again"
+                    raise DataError(f"{what}: {at}, {self._typical:g} s else", hint=hint)
                 hint = "a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
                 raise DataError(
-                    f"{what}: {extreme:g} s at sample {sample}, {step:g} s on average",
-                    hint=f"{hint}rig file instead of time",
+                    f"{what}: {at}, {step:g} s on average", hint=f"{hint}rig file instead of time"
                 )
         if not 1 / FASTEST <= step <= FASTEST:
             what = f"the time steps of column '{self._column}' are {step:g} s"

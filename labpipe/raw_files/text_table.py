@@ -240,6 +240,18 @@ class _Candidate:
             [fields[n] for n in self.numeric], self.decimal, number
         )
 
+    def filled(self, lines: list[str]) -> tuple[int, ...]:
+        """The fields that are missing in some rows at most."""
+        rows = [fields_of(lines[n], self.delimiter) for n in self.rows]
+        return tuple(n for n in range(self.n_field) if not all(is_missing(row[n]) for row in rows))
+
+    def holds_beside(self, line: str, filled: Sequence[int], number: IsNumber) -> bool:
+        """Whether a line has numbers in the *filled* fields and remarks in others, which rows leave empty."""
+        fields = fields_of(line, self.delimiter)
+        return len(fields) == self.n_field > len(filled) and all(
+            number(fields[n], self.decimal) for n in filled
+        )
+
     @property
     def rank(self) -> int:
         """Number of rows on a coarse scale, so that a few faulty rows do not determine the delimiter."""
@@ -283,8 +295,11 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     if best is None:
         raise DataError("no row of numbers in it", path, "a table of numbers below one header line is needed")
     delimiter, decimal = best.delimiter, best.decimal
-    first = next(n for n, line in enumerate(lines) if best.holds(line, number))
-    names, units = header_of(lines[:first], delimiter, best.widths(lines))
+    first, filled = next(n for n, line in enumerate(lines) if best.holds(line, number)), best.filled(lines)
+    # Remarks beside the first rows, in columns without a number, make no header of them.
+    while first and best.holds_beside(lines[first - 1], filled, number):
+        first -= 1
+    names, units = header_of(lines[:first], delimiter, best.widths(lines), filled)
     stamps = tuple(n for n, field in enumerate(fields_of(lines[first], delimiter)) if is_stamp(field))
     # Times of day are read as seconds, whatever stands in brackets.
     units |= {names[n]: "s" for n in stamps if names[n]}
@@ -405,15 +420,20 @@ def _rows_with_text(
 UNIT_ROW = re.compile(r"(units?|einheit(en)?)\W*$", re.IGNORECASE)
 
 
-def header_of(above: list[str], delimiter: str, widths: range) -> tuple[tuple[str, ...], dict[str, str]]:
+def header_of(
+    above: list[str], delimiter: str, widths: range, filled: Sequence[int] = ()
+) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names and units from the lines above the numbers, the names of as many fields as *widths* allow of;
-    columns without a header are called 1, 2, ...
+    columns without a header are called 1, 2, ... A row that leaves some of the *filled* fields without a name
+    is a row of remarks where one above it names them all.
     """
     n_field = widths[-1]
     rows = [
         [text_of(field.strip().strip('"').strip()) for field in fields_of(_COMMENT.sub("", line), delimiter)]
         for line in above
     ]
+    # A header may end in a delimiter that no row has.
+    rows = [row[:n_field] if not any(row[n_field:]) else row for row in rows]
     titles = [row + [""] * (n_field - len(row)) for row in rows if len(row) in widths and any(row)]
     if not titles:
         return tuple(str(n + 1) for n in range(n_field)), {}
@@ -426,6 +446,8 @@ def header_of(above: list[str], delimiter: str, widths: range) -> tuple[tuple[st
             if len(set(row)) == n_field and not any(re.fullmatch(r"[-+]?[\d.]+", field) for field in row)
         ]
         unit_row, names = [_unit_of(field) for field in names], (named or titles[:-1])[-1]
+    elif not all(names[n] for n in filled):
+        names = next((row for row in titles[::-1] if all(row[n] for n in filled)), names)
     units = {name: unit or bracketed_unit(name) for name, unit in zip(names, unit_row, strict=True)}
     return tuple(names), {name: unit for name, unit in units.items() if unit}
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 from labpipe.errors import ConfigError, SettingError
-from labpipe.quantities import UnitError, unit_of
+from labpipe.quantities import UnitError, parse_unit, unit_of
 from labpipe.records.response import FORMS
 from labpipe.records.settings import Settings, section, setting, text
 
@@ -28,6 +29,20 @@ WINDOWS = ("boxcar", "hann", "hamming", "blackman", "flattop")
 # Forms that their units tell, and one that must be named.
 MECHANICAL = ("receptance", "mobility", "accelerance")
 NAMED = "transmissibility"
+OF_AN_FRF = (
+    "m/N, m/(N.s), m/(N.s^2) or multiples are; divide a response by the force at which it was measured"
+)
+
+
+def form_of_unit(unit: str) -> str:
+    """The form of an FRF whose numbers may have a unit; '' for another or an unknown one."""
+    for form in MECHANICAL:
+        with suppress(UnitError):
+            unit_of(unit, FORMS[form])
+            return form
+    return ""
+
+
 AXES = ("frequency", "output", "input")
 # Columns that together are a complex number.
 PARTS = (
@@ -217,9 +232,9 @@ class FrfLayout(Settings):
         """
         if not self.unit:
             return self.form, 1.0
-        for form in (self.form,) if self.form else MECHANICAL:
-            try:
-                return form, unit_of(self.unit, FORMS[form]).factor
-            except UnitError as error:
-                last = error
-        raise last
+        if self.form:
+            return self.form, unit_of(self.unit, FORMS[self.form]).factor
+        if form := form_of_unit(self.unit):
+            return form, unit_of(self.unit, FORMS[form]).factor
+        parse_unit(self.unit)
+        raise UnitError(f"'{self.unit}' is no unit of an FRF", OF_AN_FRF)

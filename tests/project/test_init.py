@@ -587,3 +587,22 @@ def test_peaks_that_are_close_or_at_an_end_have_bands_that_a_modal_fit_takes(tmp
     bands = [tuple(map(float, band)) for band in re.findall(r"band: ([\d.]+)-([\d.]+) Hz", text)]
     assert all(any(low < f < high for low, high in bands) for f in (6, 150, 160, 170, 388)), bands
     assert all(np.sum((frequency >= low) & (frequency <= high)) >= 24 for low, high in bands)
+
+
+def test_a_force_and_its_response_in_two_files_are_one_run(tmp_path: Path, labpipe) -> None:
+    """A vibrometer writes each signal to a file of its own, under one name; two forces are two tests."""
+    files = tmp_path / "force.txt", tmp_path / "motion.txt"
+    head = "Point Index:\t1\nSignal:\t{}\n\nTime\tTime Signal\n[ s ]\t[ {} ]\n"
+    for file, unit, signal in zip(files, ("N", "m"), signals(), strict=True):
+        rows = "".join(f"{n / RATE:g}\t{value:.8g}\n" for n, value in enumerate(signal))
+        file.write_text(head.format(file.stem, unit) + rows, encoding="utf-8")
+    assert labpipe("init", tmp_path / "one", *files).code == 0
+    pipeline = (tmp_path / "one/pipeline.yaml").read_text()
+    assert 'recordings: {join: ["../force.txt", "../motion.txt"]}' in pipeline and MARK not in pipeline
+    assert labpipe("run", tmp_path / "one/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    result = json.loads((tmp_path / "out/identification.json").read_text())["fits"][0]["parameters"]
+    value = {parameter["name"]: parameter["value"] for parameter in result}["f_n"]
+    assert value == pytest.approx(np.sqrt(K / MASS) / (2 * np.pi), rel=1e-3)
+    (tmp_path / "again.txt").write_bytes(files[0].read_bytes())
+    assert labpipe("init", tmp_path / "two", files[0], tmp_path / "again.txt").code == 0
+    assert "tests:" in (tmp_path / "two/pipeline.yaml").read_text()

@@ -64,6 +64,20 @@ def test_hits_of_a_hammer_are_counted(rng) -> None:
     assert list(np.round(hit_starts(force - 0.4), -1)) == [1000, 13_000, 26_000, 39_000]
 
 
+@pytest.mark.parametrize("bounce", [0.0, 0.3])
+def test_a_hit_in_the_first_samples_beside_a_drift_has_its_own_band(bounce: float) -> None:
+    """Half a sine of T = 10 ms: |F| ~ |cos(pi f T) / (1 - (2 f T)^2)| is -23.5 dB at 200 Hz. A trigger
+    cut its first samples off, as analysers do.
+    """
+    push = np.sin(np.pi * np.arange(2, 11) / 10)
+    force = -0.02 * np.exp(-np.arange(10_000) / 5_000)
+    force[: push.size] += push
+    force[200 : 200 + push.size] += bounce * push
+    found = look(force, RATE)
+    assert (found.kind, found.repeats, found.length) == ("impact", 1, 10_000)
+    assert found.band[0] < 1 and found.band[1] > 200
+
+
 @pytest.mark.parametrize("signal", [np.zeros(100), np.ones(100) - 1, np.arange(6.0)])
 def test_silence_has_no_period(signal: np.ndarray) -> None:
     assert find_period(signal) == 0

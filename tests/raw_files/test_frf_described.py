@@ -315,6 +315,12 @@ RE_IM = {"frequency": "1", "re": "2", "im": "3"}
             "holds the coherence 97; they lie between 0 and 1, and are not in per cent",
         ),
         (
+            "f,v [m/s],p\n1,2,3\n2,3,4\n",
+            {"frequency": "f", "amplitude": "2", "phase_deg": "3"},
+            SI,
+            "multiples are; divide a response by the force at which it was measured",
+        ),
+        (
             "f [N],a,p\n1,2,3\n2,3,4\n",
             {"frequency": "1", "amplitude": "2", "phase_deg": "3"},
             SI,
@@ -339,7 +345,7 @@ def test_faults_have_their_place(
         ({"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}}, "form or unit is needed"),
         (
             {"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}, "unit": "kg"},
-            "'kg' has the wrong dimension",
+            "'kg' is no unit of an FRF",
         ),
         ({"file": "a", "columns": {"frequency": "1"}, "form": "mobility"}, "name no element of H"),
         (

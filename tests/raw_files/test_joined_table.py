@@ -94,6 +94,10 @@ LOST = {"t": np.delete(N, 40) / 10, "y": np.delete(N, 40)}
             "the time steps of b.csv (0.05) differ from those of a.csv (0.1)",
         ),
         (Rows("b.csv", LOST, 30), "the times of b.csv and a.csv run apart: 4.1 and 4 at common row 41"),
+        (
+            Rows("b.csv", {"t": (N + 5 * (N > 60)) / 10, "y": N}, 100),
+            "differ from those of a.csv (0.1); samples are lost or stand twice after its row 61",
+        ),
         (Rows("b.csv", {"t": 20 + N / 10, "y": N}, 50), "the files have no time in common"),
     ],
 )

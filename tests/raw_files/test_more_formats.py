@@ -101,6 +101,11 @@ def test_lvm_at_two_rates(tmp_path: Path) -> None:
         ),
         (SEGMENT[:60], "r.lvm: is cut off in its header"),
         (SEGMENT + ROWS[:-7], "r.lvm: ends 1 sample(s) before the last one"),
+        (
+            SEGMENT.replace("3\t3", "9\t9").replace("{step}", "1E-3") + "0\t1\t2\n0.004\t3\t4\n0.008\t5\t6\n",
+            "r.lvm: ends 6 sample(s) before the last one that its header states: rows are 0.004 s apart "
+            "(X_Value), samples 0.001 s (Delta_X); rows were left out after it was written; save the titles",
+        ),
         (SEGMENT.replace("3\t3", "0\t0") + ROWS, "r.lvm: holds no channel with samples"),
         (
             SEGMENT.replace("{step}\t{step}", "0.1\t-0.2") + ROWS,

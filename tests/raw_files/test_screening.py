@@ -99,6 +99,15 @@ def test_a_gap_at_the_start_of_a_large_offset_keeps_the_level() -> None:
     assert screened(samples, 2).rms[0] == pytest.approx(np.nanstd(samples), rel=1e-6)
 
 
+@pytest.mark.parametrize("period", [150.0, 701.3])
+def test_the_slow_turn_of_a_sine_in_few_steps_is_no_clipping(period: float) -> None:
+    """Whole numbers: some tens of samples at each turn are equal. Then three steps are cut off."""
+    sine = 50 * np.sin(2 * np.pi * np.arange(20_000) / period)
+    assert screened(np.round(sine)[:, None], 1000).findings() == ()
+    (finding,) = screened(np.minimum(np.round(sine), 47)[:, None], 1000).findings()
+    assert finding.code == "clipped" and f"{np.sum(np.round(sine) >= 47)} samples" in finding.message
+
+
 def test_a_channel_without_any_number_is_a_gap_and_nothing_else() -> None:
     screen = screened(np.full((20, 1), np.nan), 7)
     assert [finding.code for finding in screen.findings()] == ["gap"]
@@ -191,6 +200,14 @@ def test_dates_in_seconds_are_known_to_their_own_digits_only() -> None:
         (lambda t: np.where(np.arange(t.size) == 33, t[32], t), "does not rise at sample 33"),
         (lambda t: np.where(np.arange(t.size) == 33, np.nan, t), "no number at sample 33"),
         (lambda t: t + 2e-4 * (np.arange(t.size) % 2), "not equal"),
+        (
+            lambda t: np.delete(5 * t, [40, 41]),
+            "0.015 s at sample 40, 0.005 s else; 2 .* lost there; cut the",
+        ),
+        (
+            lambda t: np.repeat(5 * t, np.where(t == 0.02, 2, 1)),
+            "0 s at sample 21, .* a row stands twice there",
+        ),
         (lambda t: t[:1], "fewer than two samples"),
     ],
 )

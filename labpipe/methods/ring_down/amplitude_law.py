@@ -265,6 +265,38 @@ def course_spread(curve: OverAmplitude, pole: complex) -> tuple[float, float, in
     return spreads[0], spreads[1], max(n - 1, LEAST_DOF)
 
 
+# Share of its first amplitude from which on a decay is fitted once more where the law leaves more than noise.
+LATER = 0.5
+
+
+def law_spread(
+    decays: FreeDecays,
+    columns: Sequence[int],
+    fitted: likelihood.Decayed,
+    band: tuple[float, float] | None,
+    place: tuple[int, int],
+    law: FittedLaw,
+) -> FloatArray | None:
+    """Model errors (3,) of zeta_rest [1], zeta_slope [1/unit], frequency slope [rad/s/unit] of a *law* that
+    leaves more than noise, at *place* (mode, output): how far the law of the decays from the share LATER of
+    their amplitude on lies from it, and the standard error of that one. A law follows the largest amplitudes,
+    which have the energy. None of too short decays. Equation (decay-law-later).
+    """
+    mode, output = place
+    skipped = round(-np.log(LATER) / -fitted.poles[mode].real * decays.sample_rate)
+    later = [replace(decay, samples=decay.samples[skipped:]) for decay in decays.decays]
+    try:
+        pieces = likelihood.pieces_of(later, columns, decays.sample_rate, band)
+        other = fitted_law(pieces, likelihood.maximum_likelihood(pieces, fitted.poles), mode, output)
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    first, second = (
+        np.array([of.zeta_rest, of.zeta_slope, of.frequency_slope]) for of in (law.law, other.law)
+    )
+    errors = np.sqrt(np.diag(other.covariance)[:3])
+    return np.hypot(second - first, errors) if other.converged else None
+
+
 # Difference of the Bayesian information criterion beyond which the better model is chosen: strong evidence
 # (Kass and Raftery 1995, J. Am. Stat. Assoc. 90, 3.2).
 STRONG = 10.0

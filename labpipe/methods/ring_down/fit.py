@@ -161,18 +161,32 @@ def with_course(
 
 
 def law_parameters(
-    fitted: amplitude_law.FittedLaw, mode: int, unit: str, dof: int
-) -> tuple[Parameter, Parameter, Parameter]:
+    fitted: amplitude_law.FittedLaw, mode: int, unit: str, dof: int, spread: FloatArray | None
+) -> tuple[Parameter, ...]:
     """Damping ratio at rest, its slope and that of the frequency over the amplitude [unit] of the mode of
-    this number from 0.
+    this number from 0; intervals hold the model errors *spread* (3,) of a law that leaves more than noise.
     """
-    law, (rest, slope, turn, _) = fitted.law, np.sqrt(np.diag(fitted.covariance)).tolist()
+    law, errors = fitted.law, np.sqrt(np.diag(fitted.covariance))[:3]
     per, number, hertz = f"/({unit})" if "/" in unit else f"/{unit}", mode + 1, 1 / (2 * np.pi)
-    return (
-        derive(f"zeta_rest_{number}", "1", law.zeta_rest, rest, dof),
-        derive(f"zeta_slope_{number}", f"1{per}", law.zeta_slope, slope, dof),
-        derive(f"f_slope_{number}", f"Hz{per}", law.frequency_slope * hertz, turn * hertz, dof),
-    )
+    parameters = []
+    for place, (name, of, value, scale) in enumerate(
+        (
+            ("zeta_rest", "1", law.zeta_rest, 1.0),
+            ("zeta_slope", f"1{per}", law.zeta_slope, 1.0),
+            ("f_slope", f"Hz{per}", law.frequency_slope, hertz),
+        )
+    ):
+        parameter = derive(f"{name}_{number}", of, value * scale, float(errors[place]) * scale, dof)
+        if spread is not None:
+            model, noise = float(spread[place]) * scale, float(errors[place]) * scale
+            reach = student_limit(dof) * float(np.hypot(model, noise))
+            ends = parameter.value - reach, parameter.value + reach
+            parts = IntervalParts(noise, discrepancy=model)
+            parameter = restated(parameter, parameter.value, reach / student_limit(dof), ends, interval=parts)
+        elif law.p_value < MISMATCH_P:
+            (parameter,) = without_intervals([parameter])
+        parameters.append(parameter)
+    return tuple(parameters)
 
 
 PER_AMPLITUDE = ("zeta_slope", "f_slope")
@@ -365,7 +379,10 @@ def _parameters(
     if repeated is not None:
         parameters = repeats.with_repeats(parameters, repeated, fitted.fit.dof, mass)
     for mode, law in laws.items():
-        parameters += law_parameters(law, mode, fitted.units[mode], fitted.fit.dof)
+        place = mode, fitted.strongest[mode][1]
+        of = fitted.decays, fitted.columns, fitted.fit, settings.band
+        spread = amplitude_law.law_spread(*of, place, law) if law.law.p_value < MISMATCH_P else None
+        parameters += law_parameters(law, mode, fitted.units[mode], fitted.fit.dof, spread)
     return parameters
 
 

@@ -69,6 +69,29 @@ def test_damping_over_amplitude_is_seen_and_its_law_found() -> None:
     assert np.sqrt(law.covariance[1, 1]) < 0.1 * 0.003
 
 
+def test_intervals_of_a_law_of_another_form_hold_the_damping_at_rest() -> None:
+    """z = 0.003 + 0.003 A^2, its amplitude integrated to 1e-9: the line z0 + z1 A is no such law. Its z0 was
+    known to 2e-6, and lay 2.5e-4 too low.
+    """
+    t = times()
+    squared = solve_ivp(
+        lambda _, y: [-OMEGA * (0.003 + 0.003 * y[0] ** 2) * y[0]],
+        (0, t[-1]),
+        [1.0],
+        t_eval=t,
+        rtol=1e-9,
+        atol=1e-12,
+    ).y[0]
+    decays = record(noisy([squared * np.cos(OMEGA * t + 0.3)], 3, 0.002))
+    (fit,) = identify(decays, FitSettings("decay", name="d"))
+    rest, slope, turn = (fit.parameter(name) for name in ("zeta_rest_1", "zeta_slope_1", "f_slope_1"))
+    assert abs(rest.value - 0.003) > 20 * rest.std_error
+    assert rest.ci95[0] < 0.003 < rest.ci95[1] and rest.interval.discrepancy < 0.1 * 0.003
+    # Tangents of the law at the largest amplitude and at rest have the slopes 0.006 and 0.
+    assert 0 < slope.ci95[0] < slope.ci95[1] < 0.006
+    assert turn.ci95[0] < 0 < turn.ci95[1]
+
+
 def test_the_law_goes_as_one_over_the_sensor_s_gain() -> None:
     """1 % of a gain is 1 % of what is per amplitude, as a refit of samples 1 % too small says.
 
