@@ -237,4 +237,4 @@ class FrfLayout(Settings):
         if form := form_of_unit(self.unit):
             return form, unit_of(self.unit, FORMS[form]).factor
         parse_unit(self.unit)
-        raise UnitError(f"'{self.unit}' is no unit of an FRF", OF_AN_FRF)
+        raise UnitError(f"'{self.unit}' is not a unit of an FRF", OF_AN_FRF)
