@@ -199,7 +199,7 @@ LEAST_LENGTH = 0.1
 BACK, OFF_LAW = 0.9, 0.06
 # A sweep reaches on in steps of so many periods, while this share of the power lies within a factor of its
 # frequency.
-REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, .6, 1.15
+REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, 0.6, 1.15
 # What runs on a straight line over time, and back to the frequency.
 LAWS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]] = {
     "linear": (np.asarray, np.asarray),
