@@ -199,9 +199,7 @@ LEAST_LENGTH = 0.1
 BACK, OFF_LAW = 0.9, 0.06
 # A sweep reaches on in steps of so many periods, while this share of the power lies within a factor of its
 # frequency.
-REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, 0.8, 1.15
-# Ratio of frequencies and rates, less one, up to which two sweeps are the same.
-ALIKE = 0.1
+REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, 0.6, 1.15
 # What runs on a straight line over time, and back to the frequency.
 LAWS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]] = {
     "linear": (np.asarray, np.asarray),
@@ -240,11 +238,6 @@ class FoundSweep:
         proportion to it.
         """
         return self.growth * (1.0 if self.law == "linear" else frequency)
-
-    def is_like(self, other: FoundSweep) -> bool:
-        """Whether *other* repeats this sweep."""
-        ratios = other.first / self.first, other.last / self.last, other.growth / self.growth
-        return self.law == other.law and all(abs(np.log(ratio)) < ALIKE for ratio in ratios)
 
     def frequency_at(self, sample: float) -> float:
         """The frequency [periods per sample] at a *sample*, that of the nearer end before and after."""

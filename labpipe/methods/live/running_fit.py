@@ -114,7 +114,7 @@ class HitSums:
 
     def _error(self) -> tuple[FloatArray, float]:
         """Relative error (n_line,) [1] of H by noise of the force, and how many standard errors of a gain
-        common to all lines that is, as of impact.without_force_noise.
+        common to all lines that is.
         """
         if self._low is None and (self.n < 2 or not self._noise.any()):
             self._low = np.zeros(len(self.force_power)), 0.0
