@@ -24,7 +24,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.project.ready_response import load_described
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
-from labpipe.records.frf_layout import FrfColumns, FrfLayout, WindowedSettings
+from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout, WindowedSettings
 from labpipe.records.response import Blocks, FrequencyResponse, Port, uncorrelated
 from labpipe.spectra.windows import kernel_of, window_values
 
@@ -40,9 +40,12 @@ TABLE_BLOCK, TABLE_RATE = 8, 256
 TABLE = FrfColumns(frequency="1", re="2", im="3", coherence="4")
 
 
-def table(path: Path, seed: int, number: int = 40) -> None:
-    """H1 and coherence by scipy.signal of white force and its response, 5 % noise: *number* Hann blocks that
-    overlap by half. The response to the whole period of a force of twice the length is that of a rig at
+RANDOM: dict[str, Any] = {"excitation": "random", "overlap": 0.5}
+
+
+def table(path: Path, seed: int, number: int = 40, noise: float = 0.05) -> None:
+    """H1 and coherence by scipy.signal of white force and its response, with *noise*: *number* Hann blocks
+    that overlap by half. The response to the whole period of a force of twice the length is that of a rig at
     work.
     """
     rng, n = np.random.default_rng([seed, 5]), TABLE_BLOCK * TABLE_RATE
@@ -52,7 +55,7 @@ def table(path: Path, seed: int, number: int = 40) -> None:
     force[int(0.9 * force.size) :] = 0.0
     h = receptance(np.fft.rfftfreq(whole, 1 / TABLE_RATE))[:, 0, 0]
     f, x = (np.fft.irfft(spectrum, whole)[:used] for spectrum in (force, h * force))
-    x += 0.05 * x.std() * rng.normal(size=used)
+    x += noise * x.std() * rng.normal(size=used)
     kept = {"fs": TABLE_RATE, "nperseg": n, "noverlap": n // 2}
     frequency, cross = signal.csd(f, x, **kept)
     h1 = cross / signal.welch(f, **kept)[1]
@@ -80,8 +83,29 @@ def errors_of_tables(folder: Path, **stated: Any) -> np.ndarray:
 @pytest.mark.parametrize("averages", [40, 0])
 def test_leakage_of_an_analyser_s_random_blocks_is_in_the_model(tmp_path: Path, averages: int) -> None:
     """Eight errors of unit variance have a mean within .7 and a mean square of .27 to 2.2 in 95 of 100."""
-    off = errors_of_tables(tmp_path, averages=averages, excitation="random", overlap=0.5)
+    off = errors_of_tables(tmp_path, averages=averages, **RANDOM)
     assert abs(np.mean(off)) < 0.7 and 0.27 < np.mean(off**2) < 2.2
+
+
+def test_responses_of_one_record_share_what_leaks(tmp_path: Path) -> None:
+    """One response written twice, hardly any noise: the damping is known no better than by one of them."""
+    table(tmp_path / "h.txt", 1, noise=0.002)
+    both = tmp_path / "both.txt"
+    np.savetxt(both, np.loadtxt(tmp_path / "h.txt")[:, [0, 1, 2, 3, 1, 2, 3]])
+    elements = tuple(
+        (f"p{n}/f", ElementColumns(re=f"{3 * n + 2}", im=f"{3 * n + 3}", coherence=f"{3 * n + 4}"))
+        for n in range(2)
+    )
+    stated = {"form": "receptance", "window": "hann", "averages": 40, **RANDOM}
+    layout = FrfLayout(file="both.txt", columns=FrfColumns(frequency="1"), elements=elements, **stated)
+    responses = (
+        of_table(tmp_path / "h.txt", averages=40, **RANDOM),
+        load_described(ReadyFrf((both,), layout, ((),), ((),)), layout, "", {}),
+    )
+    one, two = (
+        identify(response, FitSettings("modal"))[0].parameter("zeta_1").std_error for response in responses
+    )
+    assert one is not None and two == pytest.approx(one, rel=0.1)
 
 
 def test_unsaid_it_makes_the_damping_too_large(tmp_path: Path) -> None:
@@ -124,7 +148,7 @@ def test_blocks_that_cannot_be_meant(
 ) -> None:
     (tmp_path / "h.txt").write_text("".join(f"{line} 1 0 0.9\n" for line in lines))
     with pytest.raises((ConfigError, DataError), match=fault):
-        of_table(tmp_path / "h.txt", **{"excitation": "random", "overlap": 0.5, **stated})
+        of_table(tmp_path / "h.txt", **{**RANDOM, **stated})
 
 
 def receptance(frequency: np.ndarray) -> np.ndarray:
