@@ -107,9 +107,10 @@ class EndValues:
 
     def clipped(self) -> tuple[int, int]:
         """(clipped samples, first of them); none where the extreme is zero: there a window has set the force
-        to zero, or nothing acted; nor where they are the slow turn of a signal in few steps.
+        to zero, or nothing acted; nor where a signal is a step or a switch between two values, or the samples
+        are the slow turn of one in few steps.
         """
-        if self._extreme == 0:
+        if self._extreme == 0 or self._values.size < 3:
             return 0, -1
         if self._counts.size > NEXT_VALUES and self._counts[-1] >= CLIPPED_CROWD * np.mean(self._counts[:-1]):
             return int(self._counts[-1]), self._first
@@ -398,13 +399,14 @@ class TimeAxisScreen:
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
                 what = f"the time steps of column '{self._column}' are not equal"
-                at, whole = f"{extreme:g} s at sample {sample}", round(extreme / self._typical)
+                at, usual = f"{extreme:g} s at sample {sample}", self._typical or step
+                whole = round(extreme / usual)
                 # A sampling rate in place of such times would move all that follows.
-                exact = abs(extreme - whole * self._typical) <= allowed + resolution
+                exact = abs(extreme - whole * usual) <= allowed + resolution
                 if whole != 1 and exact and step > FINE * resolution:
                     lost = f"{whole - 1} sample(s) are lost" if whole else "a row stands twice"
                     hint = f"{lost} there; cut the recording, or record it again"
-                    raise DataError(f"{what}: {at}, {self._typical:g} s else", hint=hint)
+                    raise DataError(f"{what}: {at}, {usual:g} s else", hint=hint)
                 hint = "a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
                 raise DataError(
                     f"{what}: {at}, {step:g} s on average", hint=f"{hint}rig file instead of time"

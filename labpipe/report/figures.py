@@ -81,13 +81,13 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     panels = (
         over_frequency(form_axis(fitted.form), amplitude, 3.0),
         over_frequency(PHASE, phase, 2.0),
-        over_frequency(chart.Axis("|residual| / |H|", "%"), residual, 2.0),
+        over_frequency(chart.Axis("|residual| / |H|", "%"), residual, 3.0),
     )
     caption = f"{fit_title(fit)}: measured (dots) and fitted (lines) {fitted.form}, and the residual"
     if fitted.variance is not None:
         caption += "; shaded: 95 % of residuals lie below when only the measured noise is left"
     alternative = f"Amplitude, phase and residual of fit {fit_title(fit)} over frequency"
-    return Figure(chart.stack(panels, 5.0), f"{caption}.", alternative)
+    return Figure(chart.stack(panels, 5.6), f"{caption}.", alternative)
 
 
 def _residual(fitted: FittedCurve, o: int, i: int, name: str, colour: int, entry: str) -> chart.Series:

@@ -160,7 +160,7 @@ def interval_text(fit: Fit) -> str:
         )
     widened = [(p, p.std_error) for p in fit.parameters if p.std_error_inflated is not None and p.std_error]
     repeated = _times((p.name, math.hypot(noise, _repeats_part(p)) / noise) for p, noise in widened)
-    held = "The intervals hold the scatter between repeats; they are those of noise alone times:"
+    held = "The intervals hold the scatter between repeats; they are wider than those of noise alone:"
     between = f" {held} {repeated}." if repeated else ""
     wider = _times((p.name, _beyond_noise(p) / noise) for p, noise in widened)
     # Small given numbers of a floating bearing stay with its noise.
@@ -169,10 +169,10 @@ def interval_text(fit: Fit) -> str:
     reasons = "; ".join(dict.fromkeys(p.reason for p, _ in widened if p.reason))
     why = f"; the model error is most likely {reasons}" if reasons else ""
     return (
-        f"{between} The residual is not noise (model-mismatch above{why}): errors and intervals are those of "
-        f"noise alone times: {wider}."
+        f"{between} The residual is not noise (model-mismatch above{why}): errors and intervals are wider "
+        f"than those of noise alone: {wider}."
     )
 
 
 def _times(factors: Iterable[tuple[str, float]]) -> str:
-    return ", ".join(f"{name} {factor:.3g}" for name, factor in factors if factor > 1 + ALIKE)
+    return ", ".join(f"{name} {factor:.3g} times" for name, factor in factors if factor > 1 + ALIKE)

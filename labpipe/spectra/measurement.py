@@ -226,6 +226,9 @@ def _measure(
     findings = (*source_findings(sources), *uncertainty_findings(sources), *of_lines)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
+    if parts.covariance is None and parts.averages <= len(layout.inputs):
+        # Of as many averages as forces it is 1, whatever the noise.
+        parts = replace(parts, coherence=None, multiple_coherence=None, partial_coherence=None)
     repeats_are = "sweeps" if settings.excitation == "sweep" else "hits"
     return FrequencyResponse(
         frequency=parts.frequency,

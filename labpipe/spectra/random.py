@@ -329,8 +329,8 @@ def _parts(
 ) -> Parts:
     averages, n_input = sum(spectrum.averages for spectrum in spectra), response.shape[2]
     message = (
-        f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; record "
-        "longer or shorten `block`"
+        f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; hit more often, or "
+        "record longer or shorten `block`"
     )
     return Parts(
         frequency=spectra[0].frequency,

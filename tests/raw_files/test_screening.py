@@ -108,6 +108,12 @@ def test_the_slow_turn_of_a_sine_in_few_steps_is_no_clipping(period: float) -> N
     assert finding.code == "clipped" and f"{np.sum(np.round(sine) >= 47)} samples" in finding.message
 
 
+@pytest.mark.parametrize("high", [-0.03, 5.0])
+def test_a_step_between_two_values_is_no_clipping(high: float) -> None:
+    step = np.where(np.arange(300) < 100, -0.04, high)
+    assert screened(step[:, None], 70).findings() == ()
+
+
 def test_a_channel_without_any_number_is_a_gap_and_nothing_else() -> None:
     screen = screened(np.full((20, 1), np.nan), 7)
     assert [finding.code for finding in screen.findings()] == ["gap"]
@@ -208,6 +214,7 @@ def test_dates_in_seconds_are_known_to_their_own_digits_only() -> None:
             lambda t: np.repeat(5 * t, np.where(t == 0.02, 2, 1)),
             "0 s at sample 21, .* a row stands twice there",
         ),
+        (lambda t: np.floor(100 * t) / 3, "are not equal: 0.3333"),
         (lambda t: t[:1], "fewer than two samples"),
     ],
 )

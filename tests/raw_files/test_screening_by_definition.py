@@ -24,13 +24,15 @@ def clipped_at_limit(x: np.ndarray, limit: float) -> tuple[int, int]:
 def clipped_at_extreme(x: np.ndarray) -> tuple[int, int]:
     """(number, first) of the samples at the maximum: all, where ten times as many have it as each of the 15
     next values, to the digits of single precision; or those in runs of three and more, but for up to three
-    times as many as at each of the 3 next values where these are met twice.
+    times as many as at each of the 3 next values where these are met twice. None of two values.
     """
     finite = x[np.isfinite(x)]
     peak = finite.max()
     if peak == 0:
         return 0, -1
     values, counts = np.unique(finite.astype(np.float32), return_counts=True)
+    if values.size < 3:
+        return 0, -1
     if values.size > 15 and counts[-1] >= 10 * np.mean(counts[-16:-1]):
         return int(counts[-1]), int(np.flatnonzero(x == peak)[0])
     if values.size > 3 and np.mean(counts[-4:-1]) >= max(2, counts[-1] / 3):
@@ -100,6 +102,7 @@ FAULTS = {
     "at rest, then not": lambda x, rng: np.where(np.arange(x.size) < 2500, 1.0, x),
     "few levels": lambda x, rng: np.round(x),
     "many levels": lambda x, rng: np.round(x * 200) / 200,
+    "a switch": lambda x, rng: np.where(x > 0, 5.0, 0.2),
     "turns in steps": lambda x, rng: np.round(40 * np.sin(np.arange(x.size) / 50)),
     "a window": lambda x, rng: np.where(np.arange(x.size) % 1000 < 50, np.abs(x), 0.0),
     "single precision": lambda x, rng: x.astype(np.float32).astype(float),

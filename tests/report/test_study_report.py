@@ -167,12 +167,13 @@ def test_candidates_by_bic_have_their_own_chi_square() -> None:
 
 def test_enlarged_standard_errors_are_said() -> None:
     parameter = Parameter("c", 3.7, "N.s/m", std_error=0.02, std_error_inflated=0.04)
-    assert "those of noise alone times: c 2." in interval_text(replace(FIT, parameters=(parameter,)))
+    text = interval_text(replace(FIT, parameters=(parameter,)))
+    assert "wider than those of noise alone: c 2 times." in text
     # Noise .02 and model .03 beside .12 of given numbers, which the residual does not show.
     given = replace(
         parameter, std_error_inflated=float(np.sqrt(0.02**2 + 0.03**2 + 0.12**2)), systematic=0.12
     )
-    assert "those of noise alone times: c 1.8." in interval_text(replace(FIT, parameters=(given,)))
+    assert "wider than those of noise alone: c 1.8 times." in interval_text(replace(FIT, parameters=(given,)))
     assert interval_text(FIT) == ""
 
 

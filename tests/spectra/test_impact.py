@@ -74,6 +74,17 @@ def test_without_windows_a_response_that_dies_away_is_exact(rng: np.random.Gener
     assert response.averages == 5 and not response.findings
 
 
+def test_one_hit_has_no_coherence(rng: np.random.Generator) -> None:
+    """|S_yu|^2 / (S_uu S_yy) of one average is 1, noise or not; of two it is not."""
+    settings = FrfSettings(excitation="impact", block=BLOCK, band=(10.0, 500.0))
+    one, two = (
+        measure([hammered(rng, half_sine(4 * N, starts, [1.0] * len(starts)), noise=0.01)], settings)
+        for starts in ([100], [100, 5000])
+    )
+    assert one.coherence is None and one.multiple_coherence is None
+    assert two.coherence is not None and np.median(two.coherence) < 0.99
+
+
 def test_hits_left_out_by_number_are_the_same_ones_in_every_recording_alone() -> None:
     """The fourth of all hits, the second of the second recording, is of another rig: without it each
     recording gives the FRF, by closed form.

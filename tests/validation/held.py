@@ -176,6 +176,28 @@ def wing_places() -> list[Place]:
     return places
 
 
+# What the authors read off the peaks of an FRF, and off all peaks of a filtered record.
+FRAME_AUTHORS = {"2.17": 2.17, "6.89": 6.89, "13.24": 13.263}
+CLAMPED_AUTHORS = {"frequency": [139.826], "ratio": [0.0012069]}
+
+
+def frame_places() -> list[Place]:
+    return [
+        Place("frame", "frame", f"mode_{number}", joined({"frequency": [FRAME_AUTHORS[at]]}, *said))
+        for number, (at, said) in enumerate(nearest_places("frame").items(), start=1)
+    ]
+
+
+def clamped_places() -> list[Place]:
+    """Two decays against their own curve_fit, the hit against both."""
+    by_run = SETS["clamped beam"]["curve_fit"]
+    decays = [
+        Place("clamped beam", run, "ring", joined(CLAMPED_AUTHORS, said)) for run, said in by_run.items()
+    ]
+    both = joined(CLAMPED_AUTHORS, *by_run.values())
+    return [*decays, Place("clamped beam", "clamped beam, hit", "first", both)]
+
+
 def decays_of(name: str) -> list[Place]:
     """Every run of the ring-downs of a set: its authors, and curve_fit of each decay."""
     places = []
@@ -241,6 +263,8 @@ def everything() -> list[Stated]:
         *plate_places(),
         *bench_places(),
         *wing_places(),
+        *frame_places(),
+        *clamped_places(),
     ]
     return [stated for place in places for stated in quantities(place)]
 

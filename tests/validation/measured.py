@@ -14,6 +14,8 @@ from tests.validation.held import (
     beams_places,
     bearing_places,
     bench_places,
+    clamped_places,
+    frame_places,
     free_beam_places,
     hammer_places,
     intervals,
@@ -162,6 +164,8 @@ METHOD = Method(
         "plate": lambda: stated(plate_places(), "Gorjup 2026; independent", SWEPT),
         "bench": lambda: stated(bench_places(), "FdiTools; independent", ""),
         "wing": lambda: stated(wing_places(), "Arroju 2018; independent", EXCITED),
+        "frame": lambda: stated(frame_places(), "Sid 2026; independent", MOVED),
+        "clamped beam": lambda: stated(clamped_places(), "non_linear_beam, 2024; curve_fit", ONE_NUMBER),
         "not tested": partial(gaps, "measured"),
     },
 )

@@ -122,6 +122,21 @@ SETS |= {
     ),
 }
 
+FRAME = ("set1_nomass", "set2_nomass", "set3_no_mass")
+CLAMPED = "Experimentos/Biengastada/Sem piezo/Sem força magnética/Testes de impacto/"
+SETS |= {
+    "frame": RawSet(
+        "Sidwrittenallover/Experimental_Modal_Analysis",
+        "7a8669f9d01380234efc3066f49ed2f4c7492b18",
+        {f"imp_ham_{of}.CSV": f"data/imp_ham_{of}.CSV" for of in FRAME},
+    ),
+    "clamped beam": RawSet(
+        "catarinaluz/non_linear_beam",
+        "b0dc87be513d28828fa67a6c0c76f9538194ce6d",
+        {f"mec-t1-{of}.txt": f"{CLAMPED}mec-t1-{of}.txt" for of in ("force", "velocity")},
+    ),
+}
+
 
 @dataclass(frozen=True)
 class Run:
@@ -168,6 +183,12 @@ RUNS = {
         f"wing {of}": Run("wing", "Wing under three excitations", {"frfs.file": f"{of}avg_10hz.mat"})
         for of in WING
     },
+    "frame": Run("frame", "Three-storey frame, three decays"),
+    "clamped beam, whole decay": Run("clamped beam", "Clamped beam"),
+    "clamped beam, 0.5 to 4 s": Run(
+        "clamped beam", "Clamped beam", {"frf.decay": {"start": "0.5 s", "end": "4 s"}}
+    ),
+    "clamped beam, hit": Run("clamped beam", "Clamped beam, force and velocity"),
 }
 # Decays that curve_fit is given as well: recording, column, band [Hz].
 DECAYS = {
@@ -177,6 +198,7 @@ DECAYS = {
     "axial, one hit": ("y", (20.0, 60.0)),
     "steel": ("a", (1.0, 15.0)),
     "aluminium": ("a", (1.0, 15.0)),
+    **{f"clamped beam, {of}": ("v", (120.0, 150.0)) for of in ("whole decay", "0.5 to 4 s")},
 }
 
 
@@ -358,6 +380,7 @@ PIEZO = {
     "115.7": ((110.0, 122.0), (115.7, 0.0046)),
     "314": ((304.0, 324.0), (314.0, 0.0036)),
 }
+STOREYS = {"2.17": (0.5, 0.003), "6.89": (0.7, 0.0017), "13.24": (0.65, 0.0013)}
 PLATE = {
     "76.4": 0.023,
     "109.5": 0.024,
@@ -385,6 +408,17 @@ def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
         of_mode = {
             place: [modes_of_record(force[p], velocity[p], 1000.0, band, [start])[0] for p in parts]
             for place, (band, start) in PIEZO.items()
+        }
+    elif name == "frame":
+        records = [columns(folder / file, 6) for file in SETS[name].files]
+        of_mode = {
+            place: [
+                modes_of_record(of[:, 5], of[:, floor], 50.0, (at - half, at + half), [(at, ratio)])[0]
+                for of in records
+                for floor in (1, 2, 3)
+            ]
+            for place, (half, ratio) in STOREYS.items()
+            for at in (float(place),)
         }
     elif name in SINGLE:
         single = [frfs(folder, title) for title in TITLES.get(name, [name])]
@@ -503,13 +537,13 @@ def analyser_frf(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     return of["Data1_X_MT_MIF__Z"], (of[f"{stem}_Ampl"] * np.exp(1j * of[f"{stem}_Phase"]))[None]
 
 
-def columns(path: Path) -> np.ndarray:
-    """The numeric lines of a text file, three columns."""
+def columns(path: Path, n: int = 3) -> np.ndarray:
+    """The numeric lines of a text file, *n* columns."""
     rows = []
     for line in path.read_text(encoding="latin-1").splitlines():
         with contextlib.suppress(ValueError):
-            rows.append([float(cell) for cell in line.replace(",", " ").split()[:3]])
-    return np.array([row for row in rows if len(row) == 3])
+            rows.append([float(cell) for cell in line.replace(",", " ").split()[:n]])
+    return np.array([row for row in rows if len(row) == n])
 
 
 def recorded(data: Path, names: Sequence[str] = tuple(SETS)) -> Iterator[tuple[str, Any]]:

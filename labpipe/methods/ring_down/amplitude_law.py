@@ -160,6 +160,8 @@ def fitted_law(
 # Stretches of one decay at most, periods of one at least, and amplitudes over their standard error below
 # which nothing is seen.
 MOST_STRETCHES, LEAST_PERIODS, LEAST_RATIO = 16, 3.0, 10.0
+# Values of noise in a stretch beyond which it says how large the noise is.
+LEAST_ROWS = 6
 
 
 @dataclass(frozen=True)
@@ -187,9 +189,12 @@ def stretches(
     left = _in_time(piece, solved.residual[:, output])
     amplitude = solved.amplitudes[mode, output]
     course = np.exp(pole * piece.time)
-    parts = [part for part in np.array_split(np.arange(n), max(count, 1)) if part.size > 4]
-    variance = float(fitted.variance[number, output])
-    rows = []
+    # White noise of a band has as many values in a sample as it has of the lines, and within 1 / width of
+    # either end a band lacks what begins or stops there.
+    share, edge = (1.0, 0) if piece.lines is None else (2 * piece.lines.size / n, n // piece.lines.size)
+    inside = np.arange(edge, n - edge)
+    parts = [part for part in np.array_split(inside, max(count, 1)) if part.size > 4]
+    rows, variances = [], []
     for part in parts:
         columns = np.stack([course[part].real, -course[part].imag], axis=1)
         change, _, rank, _ = np.linalg.lstsq(columns, left[part], rcond=None)
@@ -197,10 +202,14 @@ def stretches(
             continue
         middle = float(np.mean(piece.time[part]))
         size = abs(np.exp(pole * middle))
-        error = np.sqrt(variance * np.trace(np.linalg.inv(columns.T @ columns)) / 2) * size
+        error = np.sqrt(np.trace(np.linalg.inv(columns.T @ columns)) / 2) * size
         rows.append((middle, (amplitude + change[0] + 1j * change[1]) * size, error))
+        if part.size * share > LEAST_ROWS:
+            variances.append(np.sum((left[part] - columns @ change) ** 2) / (part.size * share - 2))
     middles, values, errors = np.array(rows, np.complex128).reshape(-1, 3).T
-    return Stretches(middles.real, values, errors.real)
+    # The fit's own variance holds the course of damping and frequency, which is what stretches are to show.
+    variance = float(np.median(variances)) if variances else float(fitted.variance[number, output])
+    return Stretches(middles.real, values, errors.real * np.sqrt(variance))
 
 
 def _in_time(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
@@ -279,12 +288,15 @@ def law_spread(
 ) -> FloatArray | None:
     """Model errors (3,) of zeta_rest [1], zeta_slope [1/unit], frequency slope [rad/s/unit] of a *law* that
     leaves more than noise, at *place* (mode, output): how far the law of the decays from the share LATER of
-    their amplitude on lies from it, and the standard error of that one. A law follows the largest amplitudes,
-    which have the energy. None of too short decays. Equation (decay-law-later).
+    their amplitude on (half of a shorter one) lies from it, and the standard error of that one. A law follows
+    the largest amplitudes, which have the energy. None of too short decays. Equation (decay-law-later).
     """
     mode, output = place
     skipped = round(-np.log(LATER) / -fitted.poles[mode].real * decays.sample_rate)
-    later = [replace(decay, samples=decay.samples[skipped:]) for decay in decays.decays]
+    later = [
+        replace(decay, samples=decay.samples[min(skipped, len(decay.samples) // 2) :])
+        for decay in decays.decays
+    ]
     try:
         pieces = likelihood.pieces_of(later, columns, decays.sample_rate, band)
         other = fitted_law(pieces, likelihood.maximum_likelihood(pieces, fitted.poles), mode, output)

@@ -139,20 +139,54 @@ class Solved:
     tangent: FloatArray
 
 
-def solve(piece: Piece, poles: ComplexArray) -> Solved:
-    """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
+def rows_by_samples(piece: Piece, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Rows (n_row, 2 n_mode) of e^(lambda t) [1] and t e^(lambda t) [s], real and imaginary parts, at *poles*
+    (n_mode,) [rad/s].
+    """
     # Poles far from any solution may grow beyond all numbers on the way.
     time = piece.time[:, None]
     course = np.exp(np.minimum(time * poles.real, 50.0) + 1j * time * poles.imag)
+    moments = time * course
+    modes, tangent = (np.concatenate([part.real, part.imag], axis=1) for part in (course, moments))
+    return piece.project(modes), piece.project(tangent)
+
+
+# Distance of a pole from a line [1] below which differences of sums lose digits.
+ON_LINE = 1e-7
+
+
+def rows_by_sums(piece: Piece, poles: ComplexArray) -> tuple[FloatArray, FloatArray] | None:
+    """Rows (n_row, 2 n_mode) [1], [s] as of `rows_by_samples` in a band at *poles* (n_mode,) [rad/s], in a
+    twentieth of the time. With q = e^(lambda dt - 2 pi j k / n) at line k sum q^m = (1 - q^n) / (1 - q), sum
+    m q^m = (q sum q^m - n q^n) / (1 - q). None without a band, of poles on a line and of those that grow too
+    far. Equation (decay-sums).
+    """
+    n, step = piece.time.size, piece.time[-1] / max(piece.time.size - 1, 1)
+    if piece.lines is None or np.max(poles.real) * n * step > 1:
+        return None
+    pairs = np.concatenate([poles, poles.conj()])
+    q = np.exp(pairs * step - 2j * np.pi * piece.lines[:, None] / n)
+    if np.min(np.abs(1 - q)) < ON_LINE:
+        return None
+    last = np.exp(pairs * step * n)
+    sums = (1 - last) / (1 - q)
+    rows = []
+    for part in (sums, step * (q * sums - n * last) / (1 - q)):
+        own, other = np.split(part * np.sqrt(2 / n), 2, axis=1)
+        spectrum = np.concatenate([(own + other) / 2, (own - other) / 2j], axis=1)
+        rows.append(np.concatenate([spectrum.real, spectrum.imag]))
+    return rows[0], rows[1]
+
+
+def solve(piece: Piece, poles: ComplexArray) -> Solved:
+    """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
+    modes, tangent = rows_by_sums(piece, poles) or rows_by_samples(piece, poles)
     n_mode = poles.size
-    modes = piece.project(np.concatenate([course.real, course.imag], axis=1))
     range_, triangle = np.linalg.qr(np.concatenate([modes, piece.nuisance], axis=1))
     shares = range_.T @ piece.rows
     if np.min(np.abs(np.diag(triangle))) <= 1e-14 * np.max(np.abs(np.diag(triangle))):
         raise FitError("two modes of the decay became one")
     factors = solve_triangular(triangle, shares)
-    moments = time * course
-    tangent = piece.project(np.concatenate([moments.real, moments.imag], axis=1))
     return Solved(
         factors[:n_mode] - 1j * factors[n_mode : 2 * n_mode],
         piece.rows - range_ @ shares,

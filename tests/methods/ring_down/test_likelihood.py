@@ -17,6 +17,8 @@ from labpipe.methods.ring_down.likelihood import (
     most_likely,
     pencil_poles,
     pieces_of,
+    rows_by_samples,
+    rows_by_sums,
     solve,
 )
 from labpipe.records.spectra import FreeDecay
@@ -176,3 +178,15 @@ def test_a_residual_goes_on_where_its_end_is_as_large_as_its_beginning() -> None
     assert ending_of([grows, 1e3 * grows[::-1]]) == pytest.approx(1)
     plain = Judged(amplitude=1.0, white=1.0, strongest=0.0, ending=0.0)
     assert [replace(plain, ending=size).goes_on for size in (0.1, 9.0)] == [False, True]
+
+
+@pytest.mark.parametrize(("n", "band"), [(4096, (30.0, 50.0)), (4001, (5.0, 400.0)), (683, (20.0, 90.0))])
+def test_sums_of_a_band_are_the_transforms_of_the_samples(n: int, band: tuple[float, float]) -> None:
+    """Equation (decay-sums) against transforms of e^(lambda t) and t e^(lambda t), of a growing pole too."""
+    (piece,) = pieces_of(record([np.random.default_rng(1).normal(size=n)]).decays, [0], RATE, band)
+    poles = np.array([-1.3 + 2j * np.pi * 38.0, -0.01 + 2j * np.pi * 41.7, 0.05 + 2j * np.pi * 33.0])
+    sums, samples = rows_by_sums(piece, poles), rows_by_samples(piece, poles)
+    assert sums is not None
+    for by_sums, by_samples in zip(sums, samples, strict=True):
+        np.testing.assert_allclose(by_sums, by_samples, rtol=0, atol=1e-10 * np.abs(by_samples).max())
+    assert rows_by_sums(piece, np.array([2j * np.pi * RATE * piece.lines[3] / n])) is None
