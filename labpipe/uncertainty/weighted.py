@@ -28,10 +28,10 @@ class WeightedFit:
     """Least squares weighted by the covariance of the values: parameters (n_parameter,) [any unit],
     covariance (n_parameter, n_parameter).
 
-    Where the scatter exceeds the errors (p_value below SCATTER_LEVEL), single values have a *spread* besides,
-    a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *shared*: the part
-    of *covariance* by errors in common, which no scatter shows. *behind*: degrees of freedom of errors that
-    were estimated from scatter themselves.
+    Where values scatter more than by their errors in the mean (chi2 above dof), single ones have a *spread*
+    besides, a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *shared*:
+    the part of *covariance* by errors in common, which no scatter shows. *known*: what the errors alone make
+    of *covariance*. *behind*: degrees of freedom of errors that were estimated from scatter themselves.
     """
 
     values: FloatArray
@@ -41,22 +41,26 @@ class WeightedFit:
     p_value: float | None
     spread: float
     shared: FloatArray
+    known: FloatArray
     behind: float = np.inf
 
     @property
     def inflated(self) -> bool:
-        """Whether the scatter exceeds the errors."""
-        return self.spread > 0
+        """Whether the scatter exceeds the errors, beyond what chance makes of these."""
+        return self.p_value is not None and self.p_value < SCATTER_LEVEL
 
     @property
     def effective_dof(self) -> float:
         """Degrees of freedom of the scatter, infinite where no error was estimated from it."""
-        return self.dof if self.inflated else self.behind
+        return self.dof if self.spread > 0 else self.behind
 
     def dof_of(self, direction: FloatArray) -> float:
         """Welch and Satterthwaite's degrees of freedom [1] along a *direction* (n_parameter,)."""
-        whole, shared = (direction @ part @ direction for part in (self.covariance, self.shared))
-        return float(self.effective_dof * (whole / max(whole - shared, 1e-12 * whole)) ** 2)
+        # Two values alone, as far apart as chance makes them, leave the errors as known.
+        alone = self.dof == 1 and self.spread > 0 and not self.inflated
+        parts = self.covariance, self.known if alone else self.shared
+        whole, sure = (direction @ part @ direction for part in parts)
+        return float(self.effective_dof * (whole / max(whole - sure, 1e-12 * whole)) ** 2)
 
     def reach(self, direction: FloatArray) -> float:
         """Half the 95 % interval [any unit] along a *direction* (n_parameter,). Equation (comp-quantile)."""
@@ -105,10 +109,10 @@ def weighted_fit(
         raise FitError("a value is not a number, so tests cannot be weighted")
     changes = np.zeros((0, values.size)) if changes is None else changes
     inverse, chi2, weights = _solve(columns, values, errors, changes)
-    dof = values.size - columns.shape[1]
+    dof, known = values.size - columns.shape[1], inverse
     p_value = distributions.chi2_tail(chi2, dof) if dof else None
     spread = 0.0
-    if p_value is not None and p_value < SCATTER_LEVEL:
+    if chi2 > dof > 0:
         most = 10 * float(np.mean((values - columns @ (weights @ values)) ** 2))
 
         def beside(share: float) -> tuple[FloatArray, float, FloatArray]:
@@ -119,7 +123,7 @@ def weighted_fit(
         share = optimize.brentq(lambda share: beside(share)[1] - dof, 0.0, 1.0)
         spread, (inverse, _, weights) = share * most, beside(share)
     shared = weights @ changes.T @ changes @ weights.T
-    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, shared)
+    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, shared, known)
 
 
 def _solve(

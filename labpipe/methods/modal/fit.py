@@ -160,7 +160,7 @@ def modal_notes(
         (True, f"residual terms of every FRF: {residual}, by AIC"),
         (estimate.unused, f"the measured covariance is not used: {estimate.unused}"),
         (estimate.chi2_reduced is None, without_test),
-        (whole.added, f"{added}, since the residual was not noise"),
+        (whole.added, f"{added}, since the residual was not noise, or terms stood for them"),
         (n_reference == 1, SINGLE),
         (forces_move, TURNED),
     )

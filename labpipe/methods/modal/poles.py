@@ -468,32 +468,46 @@ def shape_p(refined: Refined, lines: Lines) -> FloatArray:
 
     Equation (modal-seen).
     """
-    widths = np.maximum(2 * np.abs(refined.poles.real), lines.spacing)
-    places = np.maximum((lines.omega[-1] - lines.omega[0]) / widths, 1.0)
     probabilities = []
     for mode, shape in enumerate(refined.shapes.T):
         block, psi = slice(2 * mode, 2 * mode + 2), np.stack([shape.real, shape.imag], axis=-1)
         inverse = np.linalg.pinv(refined.shape_covariance[:, block, block])
         chi2 = float(np.einsum("oi,oij,oj->", psi, inverse, psi)) / lines.shared
         probabilities.append(chi2_tail(chi2, psi.size))
-    return np.minimum(np.array(probabilities) * places, 1.0)
+    return np.minimum(np.array(probabilities) * _places(lines, refined), 1.0)
+
+
+def _places(lines: Lines, refined: Refined) -> FloatArray:
+    widths = np.maximum(2 * np.abs(refined.poles.real), lines.spacing)
+    return np.maximum((lines.omega[-1] - lines.omega[0]) / widths, 1.0)
 
 
 def complete(
     refined: Refined, terms: ResidualTerms, correlation: tuple[complex, ...], *, adding: bool
 ) -> Completed:
-    """The modes and, where *adding*, those that the residual asks for, one at a time, as long as AIC supports
-    them.
+    """The modes and, where *adding*, those that the residual asks for, or that AIC supports in the place of
+    residual terms, one at a time.
 
     They are kept only if the residual then is noise.
     """
     first = done = Completed(refined, terms, whiteness(remaining(terms, refined), correlation))
-    while adding and done.p_noise < MISMATCH_P and done.added < MOST_ADDED:
-        more = _with_one_more(done, correlation)
-        if more is None:
+    while adding and done.added < MOST_ADDED:
+        # Many terms follow a mode in the band as well, and leave noise.
+        least = ResidualTerms(terms.lines, 1, 1)
+        places = [
+            *([(done.refined, done.terms, False)] if done.p_noise < MISMATCH_P else []),
+            *([(refine(least, *_start(done)), least, True)] if done.terms.count > least.count else []),
+        ]
+        tried = (_with_one_more(done, *place, correlation) for place in places)
+        found = [more for more in tried if more is not None]
+        if not found:
             break
-        done = more
+        done = min(found, key=lambda more: criterion(more.refined, more.terms))
     return done if done.p_noise >= MISMATCH_P else first
+
+
+def _start(done: Completed) -> tuple[ComplexArray, ComplexArray]:
+    return done.refined.poles, done.refined.participation
 
 
 def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Completed:
@@ -504,9 +518,14 @@ def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Comple
     return replace(done, refined=refined, p_noise=whiteness(remaining(done.terms, refined), correlation))
 
 
-def _with_one_more(done: Completed, correlation: tuple[complex, ...]) -> Completed | None:
-    lines, refined = done.terms.lines, done.refined
-    residual = remaining(done.terms, refined)
+def _with_one_more(
+    done: Completed,
+    refined: Refined,
+    before: ResidualTerms,
+    replacing: bool,
+    correlation: tuple[complex, ...],
+) -> Completed | None:
+    lines, residual = before.lines, remaining(before, refined)
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
     n_wide = round(2 * decay / lines.spacing)
@@ -523,8 +542,15 @@ def _with_one_more(done: Completed, correlation: tuple[complex, ...]) -> Complet
     participation = np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
-    sound = again.converged and _distinct(again) and np.all(_standing(lines, again))
-    if not sound or criterion(again, terms) > criterion(refined, done.terms) - SUPPORT:
+    inside, narrow, seen = _standing(lines, again)
+    if replacing:
+        # Noise draws terms as well: the mode must pay against the fewest, wherever noise may peak.
+        n_real = 2 * sum(lines.matrix.shape[1:])
+        fall = criterion(refined, before) - criterion(again, terms) + 2 * n_real
+        chance = chi2_tail(max(fall, 0.0) / lines.shared, n_real) * _places(lines, again)[-1]
+        seen[-1] |= chance < SEEN_P
+    sound = again.converged and _distinct(again) and np.all(inside & narrow & seen)
+    if not sound or criterion(again, terms) > criterion(done.refined, done.terms) - SUPPORT:
         return None
     # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
     place, told = 2 * refined.poles.size, by_lines(terms, again)
