@@ -124,13 +124,16 @@ def over_repeats(
 
 
 def _without_scatter(pooled: Fit, response: FrequencyResponse) -> Fit:
-    """The fit without the systematic errors that each repeat has of its own, since their scatter holds
-    them.
+    """The fit without that part of systematic errors that differs from repeat to repeat, since their scatter
+    holds it.
     """
-    own = {error.uncertainty.source for error in response.errors if error.by_repeat}
-    if not own or (budget := pooled.budget) is None:
+    left = {error.uncertainty.source: 0.0 for error in response.errors if error.by_repeat}
+    calibrations = [c for port in (*response.outputs, *response.inputs) for c in port.uncertainties]
+    left |= {c.uncertainty.source: 1 - c.shown for c in calibrations if c.shown}
+    if not left or (budget := pooled.budget) is None:
         return pooled
-    kept = [number for number, source in enumerate(budget.sources) if source.source not in own]
+    budget = budget.enlarged(left)
+    kept = [number for number, source in enumerate(budget.sources) if source.std_error > 0]
     sources = tuple(budget.sources[number] for number in kept)
     budget = replace(budget, sources=sources, changes=budget.changes[kept], drawn=None)
     sizes = dict(zip(budget.names, map(float, budget.systematic), strict=True))

@@ -147,11 +147,13 @@ class ChannelUncertainty:
     'direction' [rad].
 
     The error d of the number changes the channel's amplitude X [SI] to X (1 - d), X e^{+jwd}, X e^{+jd}; a
-    direction turns the channel.
+    direction turns the channel. *shown*: part of it [1] that the scatter of repeats shows, of which not all
+    have it.
     """
 
     effect: str
     uncertainty: Uncertainty
+    shown: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,7 @@ def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:
     return tuple(
         entry
         if isinstance(entry, ChannelUncertainty)
-        else ChannelUncertainty(entry["effect"], Uncertainty(**entry["uncertainty"]))
+        else ChannelUncertainty(**{**entry, "uncertainty": Uncertainty(**entry["uncertainty"])})
         for entry in entries
     )
 

@@ -138,7 +138,7 @@ def _with_repeats(
         levels.append(_level(source))
     if len(alone) < 2:
         return response
-    outputs, inputs = (tuple(map(_mean_port, zip(*ends, strict=True))) for ends in zip(*chains, strict=True))
+    outputs, inputs = (tuple(map(mean_port, zip(*ends, strict=True))) for ends in zip(*chains, strict=True))
     return replace(
         response,
         outputs=outputs,
@@ -151,16 +151,19 @@ def _with_repeats(
     )
 
 
-def _mean_port(ports: tuple[Port, ...]) -> Port:
-    """Of one port in each of n recordings, that of their mean: of a calibration that n_s of them have, the
-    error is n_s / n of its own.
+def mean_port(ports: tuple[Port, ...]) -> Port:
+    """Of one port in each of n recordings, that of their mean: of a calibration that the share p of them has,
+    the error is p times its own. Their scatter shows p (1 - p) / (n - 1) of its square in the variance of
+    the mean. Equation (repeats-calibrations).
     """
     times = Counter(calibration for port in ports for calibration in port.uncertainties)
-    uncertainties = tuple(
-        replace(c, uncertainty=replace(c.uncertainty, std_error=c.uncertainty.std_error * n / len(ports)))
-        for c, n in times.items()
-    )
-    return replace(ports[0], uncertainties=uncertainties)
+    uncertainties = []
+    for calibration, count in times.items():
+        p, n = count / len(ports), len(ports)
+        error = replace(calibration.uncertainty, std_error=p * calibration.uncertainty.std_error)
+        shown = 1 - float(np.sqrt(max(1 - (1 - p) / (p * (n - 1)), 0.0)))
+        uncertainties.append(replace(calibration, uncertainty=error, shown=shown))
+    return replace(ports[0], uncertainties=tuple(uncertainties))
 
 
 def _level(source: SampleSource) -> float:

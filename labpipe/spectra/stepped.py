@@ -86,8 +86,9 @@ def frequency_variance(signal: FloatArray, frequency: float) -> float:
     return 6 * noise / (np.pi**2 * float(factors[0] ** 2 + factors[1] ** 2) * n**3)
 
 
-# Bins of the time after a step, from zero to the end of the longest dwell.
-N_BIN = 40
+# Bins of the time after a step, from zero to the end of the longest dwell, or to so many times what is seen
+# of the transient where that is sooner.
+N_BIN, FINE = 40, 4.0
 # Standard errors by which the scatter in a bin exceeds that of noise while a transient is seen.
 SEEN = 4.0
 # Share of a standard error that the transient may leave in a result.
@@ -128,37 +129,44 @@ def settle_time(courses: Sequence[Course]) -> float:
     if not courses:
         what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
         raise DataError(what, hint="state `settle`")
-    longest = max(float(course.times[-1]) for course in courses)
-    edges = np.linspace(0, longest * (1 + 1e-9), N_BIN + 1)
-    time, excess, error = _bin_means(courses, edges)
-    seen = excess > SEEN * error
-    last = int(np.argmin(seen)) if not np.all(seen) else seen.size
-    if last == 0:
-        return 0.0
+    longest = reach = max(float(course.times[-1]) for course in courses)
+    block = min(float(course.times[0]) for course in courses) * 2
+    while True:
+        edges = np.linspace(0, reach * (1 + 1e-9), N_BIN + 1)
+        time, excess, error = _bin_means(courses, edges)
+        seen = excess > SEEN * error
+        last = int(np.argmin(seen)) if not np.all(seen) else seen.size
+        if last == 0:
+            return 0.0
+        # A transient within the first bins of the longest dwell is told by finer ones.
+        seen_to = float(edges[np.searchsorted(edges, time[last - 1], side="right")])
+        if FINE * seen_to >= reach or reach <= N_BIN * block:
+            break
+        reach = max(FINE * seen_to, N_BIN * block)
     if time[last - 1] > 0.6 * longest:
         what = (
             f"the responses have not settled {time[last - 1]:.3g} s after a step, where the dwells last "
             f"{longest:.3g} s"
         )
         raise DataError(what, hint="longer dwells; or state `settle`")
-    end = float(edges[np.searchsorted(edges, time[last - 1], side="right")])
     tau = _time_constant(time[:last], excess[:last])
     wanted = min(transient_allowance(course, tau) for course in courses)
-    return end + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
+    return seen_to + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
 
 
 def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     n_bin = edges.size - 1
     total, variance, when, count = np.zeros((4, n_bin))
     for course in courses:
-        place = np.minimum(np.searchsorted(edges, course.times, side="right") - 1, n_bin - 1)
+        inside = course.times <= edges[-1]
+        place = np.minimum(np.searchsorted(edges, course.times[inside], side="right") - 1, n_bin - 1)
         number = np.bincount(place, minlength=n_bin)
-        deviation, at_least_one = course.deviation(), np.maximum(number, 1)
+        deviation, at_least_one = course.deviation()[inside], np.maximum(number, 1)
         total += np.bincount(place, deviation.sum(axis=1), n_bin) / at_least_one
         # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom.
-        of_block = deviation.shape[1] * (1.0 + 8.0 / deviation.shape[0])
+        of_block = deviation.shape[1] * (1.0 + 8.0 / inside.size)
         variance += np.where(number > 0, of_block / at_least_one, 0.0)
-        when += np.bincount(place, course.times, n_bin)
+        when += np.bincount(place, course.times[inside], n_bin)
         count += number
     some = count > 0
     return when[some] / count[some], total[some], np.sqrt(variance[some])

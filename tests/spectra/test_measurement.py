@@ -10,6 +10,8 @@ import pytest
 from scipy import signal
 
 from labpipe.errors import ConfigError, DataError
+from labpipe.estimation.fitting import identify
+from labpipe.estimation.settings import FitSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
@@ -105,6 +107,32 @@ def test_calibrations_that_recordings_do_not_share_average_out(rng: np.random.Ge
     stated = {c.uncertainty.source: c.uncertainty.std_error for c in of_all.outputs[0].uncertainties}
     assert stated == pytest.approx({"first": 0.02, "second": 0.01})
     assert of_all.inputs[0].uncertainties == (cell,)
+
+
+@pytest.mark.parametrize("sensors", ["abcd", "aaaa", "aabb", "aaab"])
+def test_what_the_scatter_of_repeats_shows_of_their_calibrations_counts_once(
+    sensors: str, rng: np.random.Generator
+) -> None:
+    """Of four recordings with the sensors named, gains 3 % uncertain each: the variance of the mean of their
+    gains, less what their scatter says of it, by 40,000 draws, is what a fit over the repeats still counts as
+    systematic; where they are fitted together all of it counts.
+    """
+    recordings = []
+    for sensor in sensors:
+        plain = periodic_recording(rng, (2.0,), 1e-3)
+        force, response = plain.channels
+        gain = ChannelUncertainty("gain", Uncertainty(sensor, 0.03, "1"))
+        recordings.append(replace(plain, channels=(force, replace(response, uncertainties=(gain,)))))
+    of_sensor = 0.03 * np.random.default_rng(2).normal(size=(40_000, 4))
+    gains = of_sensor[:, ["abcd".index(sensor) for sensor in sensors]]
+    whole = np.var(gains.mean(axis=1))
+    left = max(whole - np.mean(gains.var(axis=1, ddof=1)) / 4, 0.0)
+    measured = measure(recordings, PERIODIC)
+    for repeats, expected in (("each", left), ("pool", whole)):
+        (fit,) = identify(measured, FitSettings("sdof", mass=1e-9, repeats=repeats))
+        k = fit.parameter("k")
+        # Three in a hundred of the draws' own error; a gain of 3 % changes k to first order.
+        assert ((k.systematic or 0.0) / k.value) ** 2 == pytest.approx(expected, rel=0.05, abs=0.03 * whole)
 
 
 def test_a_sensor_s_delay_is_taken_out(rng: np.random.Generator) -> None:
