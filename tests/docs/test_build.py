@@ -20,9 +20,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS))
 
-import reference  # noqa: E402
-
 import build  # noqa: E402 (modules of docs, which is not a package)
+import reference  # noqa: E402
 
 LARGEST_REPORT = 3_000_000
 pytestmark = pytest.mark.long
