@@ -78,12 +78,15 @@ def test_spectra_are_those_of_the_recordings(lab: Path) -> None:
 
 
 def test_pulses_of_a_tacho_are_not_clipped(lab: Path, labpipe) -> None:  # type: ignore[no-untyped-def]
-    """Their ends are flat by design; the same numbers as a voltage are."""
+    """Their ends are flat by design, with flanks between them; the same numbers as a voltage are cut off."""
+    table = pd.read_parquet(lab / "seal-plus.parquet")
+    table["n [V]"] = np.clip(6 * np.sin(2 * np.pi * 20 * np.arange(len(table)) / 1000), -4, 4)
+    table.to_parquet(lab / "pulses.parquet")
     (lab / "n.yaml").write_text(RIG + '  n: {column: "n [V]", quantity: tacho, unit: V}\n')
-    shown = labpipe("ingest", lab / "seal-plus.parquet", "-r", lab / "n.yaml", "-o", lab / "ingested")
+    shown = labpipe("ingest", lab / "pulses.parquet", "-r", lab / "n.yaml", "-o", lab / "ingested")
     assert shown.code == 0 and "clipped" not in shown.out + shown.err
     (lab / "v.yaml").write_text((lab / "n.yaml").read_text().replace("quantity: tacho", "quantity: voltage"))
-    flat = labpipe("ingest", lab / "seal-plus.parquet", "-r", lab / "v.yaml", "-o", lab / "flat")
+    flat = labpipe("ingest", lab / "pulses.parquet", "-r", lab / "v.yaml", "-o", lab / "flat")
     assert "warning clipped: channel n" in flat.out
 
 
