@@ -201,7 +201,8 @@ MOST_COMMON = 0.5
 # Lines to either side over which noise of the force is alike, the largest share of it that is taken off, and
 # the least part of the noise of H that is that of the responses.
 AROUND, MOST_NOISE, LEAST_PART = 16, 0.9, 1e-6
-# Errors of a force under its window beside the largest from which on they count, and the most that can.
+# Errors of a force under its window beside the largest from which on they count, and twice the band times the
+# length of the window up to which they are told.
 LEAST_COURSE, MOST_COURSES = 0.03, 24
 # Relative standard deviation of an FRF below which its scatter is rounding.
 ROUNDING = 1e-10

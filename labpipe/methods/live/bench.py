@@ -119,9 +119,7 @@ class FollowedFit:
         sums = self.sums.of(direction)
         if sums.n < 2:
             self.first.append((z, direction, noise))
-        sums.add(z)
-        if noise is not None and isinstance(sums, running_fit.HitSums):
-            sums.add_noise(noise)
+        self._count(z, direction, noise)
         if sums.n == 2:
             # What another direction tells is far from where the one before left the coefficients.
             self.fit.values = None
@@ -130,13 +128,16 @@ class FollowedFit:
         if self.estimate is not None and self.estimate.least >= self._next_look:
             self.look()
 
-    def move(self, place: int, sign: int) -> None:
-        """Take one of the first averages out (*sign* -1) or in again."""
-        z, direction, noise = self.first[place]
+    def _count(self, z: ComplexArray, direction: int, noise: FloatArray | None, sign: int = 1) -> None:
         sums = self.sums.of(direction)
         sums.add(z, sign)
         if noise is not None and isinstance(sums, running_fit.HitSums):
             sums.add_noise(noise, sign)
+
+    def move(self, place: int, sign: int) -> None:
+        """Take one of the first averages out (*sign* -1) or in again."""
+        z, direction, noise = self.first[place]
+        self._count(z, direction, noise, sign)
         self.estimate = self.fit.update(self.sums)
 
     def first_disagrees(self, place: int) -> bool:
