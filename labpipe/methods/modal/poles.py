@@ -493,21 +493,18 @@ def complete(
     first = done = Completed(refined, terms, whiteness(remaining(terms, refined), correlation))
     while adding and done.added < MOST_ADDED:
         # Many terms follow a mode in the band as well, and leave noise.
-        least = ResidualTerms(terms.lines, 1, 1)
-        places = [
-            *([(done.refined, done.terms, False)] if done.p_noise < MISMATCH_P else []),
-            *([(refine(least, *_start(done)), least, True)] if done.terms.count > least.count else []),
-        ]
-        tried = (_with_one_more(done, *place, correlation) for place in places)
+        now, least = done.refined, ResidualTerms(terms.lines, 1, 1)
+        tried = []
+        if done.p_noise < MISMATCH_P:
+            tried += [_with_one_more(done, now, done.terms, correlation)]
+        if done.terms.count > least.count:
+            plain = refine(least, now.poles, now.participation)
+            tried += [_with_one_more(done, plain, least, correlation)]
         found = [more for more in tried if more is not None]
         if not found:
             break
         done = min(found, key=lambda more: criterion(more.refined, more.terms))
     return done if done.p_noise >= MISMATCH_P else first
-
-
-def _start(done: Completed) -> tuple[ComplexArray, ComplexArray]:
-    return done.refined.poles, done.refined.participation
 
 
 def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Completed:
@@ -519,11 +516,7 @@ def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Comple
 
 
 def _with_one_more(
-    done: Completed,
-    refined: Refined,
-    before: ResidualTerms,
-    replacing: bool,
-    correlation: tuple[complex, ...],
+    done: Completed, refined: Refined, before: ResidualTerms, correlation: tuple[complex, ...]
 ) -> Completed | None:
     lines, residual = before.lines, remaining(before, refined)
     decay = float(np.median(-refined.poles.real))
@@ -543,7 +536,7 @@ def _with_one_more(
     poles = np.append(refined.poles, pole)
     again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
     inside, narrow, seen = _standing(lines, again)
-    if replacing:
+    if before is not done.terms:
         # Noise draws terms as well: the mode must pay against the fewest, wherever noise may peak.
         n_real = 2 * sum(lines.matrix.shape[1:])
         fall = criterion(refined, before) - criterion(again, terms) + 2 * n_real
