@@ -165,7 +165,7 @@ def write_pages(target: Path, figure: Callable[[str, str, str], str]) -> None:
         )
         text = PIPELINE.sub(pipeline_block, SOURCE.sub(source_block, text))
         if slip := LEFT.search(text):
-            raise SystemExit(f"docs/pages/{page}: '{slip[0]}' is no figure, source, pipeline or equation")
+            raise SystemExit(f"docs/pages/{page}: '{slip[0]}' is not a figure, source, pipeline or equation")
         written[page] = text
     written |= {f"reference/{name}.md": text for name, text in reference_pages().items()} | api.api_pages(
         read, known.labels

@@ -1,4 +1,4 @@
-"""The commands that the pages show: found, run, and held against the output that stands below them.
+"""The commands that the pages show: found, run, and compared with the output that stands below them.
 
 A block of the language `console` holds commands behind "$ " and, where it shows them, the lines that they
 print; a line "..." stands for any lines. A comment ahead of the block says what differs: `<!-- test: parse

@@ -77,7 +77,7 @@ class _Place:
             return NOT_DETERMINED
         decimals = self.decimals if decimals is None else decimals
         # Dividing by a power that is exact keeps the digits of the decimal number; zero is added since -0.0
-        # is no result.
+        # is not a result.
         scaled = number / 10.0**self.power if self.power >= 0 else number * 10.0**-self.power
         return f"{round(scaled, decimals) + 0.0:.{max(decimals, 0)}f}"
 

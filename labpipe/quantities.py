@@ -357,7 +357,7 @@ def si_amount(text: str | float) -> tuple[float, str]:
     """
     match = _VALUE.match(str(text).partition("+-")[0])
     if match is None:
-        raise UnitError(f"'{text}' is no amount", "for example 427 N")
+        raise UnitError(f"'{text}' is not an amount", "for example 427 N")
     unit = parse_unit(match[2] or "1")
     same = _RATES if unit.dimension in _RATES else {unit.dimension}
     name = next((name for name in _SI_UNITS if parse_unit(name).dimension in same), None)

@@ -17,7 +17,7 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# What tests write need not outlast a cut of power. As with fsync, what is no open file is an error.
+# What tests write need not outlast a cut of power. As with fsync, what is not an open file is an error.
 os.fsync = os.fstat  # type: ignore[assignment]
 
 # Half a million objects that modules and collected tests are, and nothing of it garbage.

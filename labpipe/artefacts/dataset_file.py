@@ -213,7 +213,7 @@ def _numbers(table: pa.Table, name: str) -> FloatArray:
 
 
 def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
-    """The conditions that are amounts of one unit; a condition in several dimensions is no axis."""
+    """The conditions that are amounts of one unit; a condition in several dimensions is not an axis."""
     for column in table.column_names:
         if column.startswith(AMOUNT):
             name = column.removeprefix(AMOUNT)

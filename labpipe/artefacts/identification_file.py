@@ -223,7 +223,7 @@ def _check_plain(entries: dict[str, Any]) -> None:
     for test in (*tests, *entries.get("responses", ()), *entries.get("spectra", ())):
         for condition in json_file.record_of(test["conditions"], Mapping[str, Any]).values():
             if not isinstance(condition, (str, int, float)):
-                raise TypeError(f"{cut(repr(condition))} is no condition")
+                raise TypeError(f"{cut(repr(condition))} is not a condition")
 
 
 def _identification(entries: dict[str, Any]) -> Identification:

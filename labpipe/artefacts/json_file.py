@@ -157,7 +157,7 @@ def _scalar(entry: Any, kind: Any) -> Any:
     if kind in (str, bool, int):
         _need(entry, kind)
     if kind is int and abs(entry) >= LARGEST_COUNT:
-        raise OverflowError(f"{cut(str(entry))} is no count")
+        raise OverflowError(f"{cut(str(entry))} is not a count")
     if kind is str:
         # UnicodeEncodeError for half a letter, which no file or terminal takes.
         entry.encode()
@@ -212,7 +212,9 @@ def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
 def read_bytes(path: Path) -> bytes:
     """The content of a regular file; DataError for anything else, FileNotFoundError where there is none."""
     if path.exists() and not path.is_file():
-        raise DamagedError("is a folder, a file is needed" if path.is_dir() else "is no regular file", path)
+        raise DamagedError(
+            "is a folder, a file is needed" if path.is_dir() else "is not a regular file", path
+        )
     return path.read_bytes()
 
 

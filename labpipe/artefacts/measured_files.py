@@ -93,6 +93,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         values = getattr(response, name)
         if response.repeat_names and values is not None:
             repeats[name] = values.tolist()
+    by_repeat = [error.by_repeat for error in response.errors]
     return {
         "name": response.name,
         "form": response.form,
@@ -107,6 +108,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "blocks": None if response.blocks is None else asdict(response.blocks),
         "snr_channels": list(response.snr_channels),
         "errors": [asdict(error.uncertainty) for error in response.errors],
+        **({"errors_by_repeat": by_repeat} if any(by_repeat) else {}),
         **repeats,
         "conditions": response.conditions,
     }
@@ -165,9 +167,12 @@ def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
         line_gains=np.stack(_numbered_matrices(columns, pairs, "gain", n_gain), 1) if n_gain else None,
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         errors=tuple(
-            MatrixError(Uncertainty(**entry), change)
-            for entry, change in zip(
-                errors, _numbered_matrices(columns, pairs, "error", len(errors)), strict=True
+            MatrixError(Uncertainty(**entry), change, of_repeat)
+            for entry, change, of_repeat in zip(
+                errors,
+                _numbered_matrices(columns, pairs, "error", len(errors)),
+                contents.get("errors_by_repeat", [False] * len(errors)),
+                strict=True,
             )
         ),
         repeats=np.stack(_numbered_matrices(columns, pairs, "repeat", n_repeat)) if n_repeat else None,

@@ -217,7 +217,7 @@ def path_of(text: str) -> Path:
     path = Path(text)
     if is_remote(path):
         if len(path.parts) < 2 or "//" in text.split("://", 1)[-1] or ".." in path.parts:
-            raise ConfigError("is no URL of an object", text, "write it as s3://bucket/folder/name")
+            raise ConfigError("is not a URL of an object", text, "write it as s3://bucket/folder/name")
     elif "://" in text:
         schemes = ", ".join(f"{scheme}//" for scheme in SCHEMES)
         raise ConfigError("is a URL that cannot be read", text, f"known: {schemes}, {FILE}")

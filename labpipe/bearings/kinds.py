@@ -120,7 +120,7 @@ class Bearing(Protocol):
 
     def at(self, point: OperatingPoint) -> BearingCoefficients:
         """Lateral coefficients (2, 2) in y and z [N/m, N.s/m] with their findings. LabpipeError where there
-        is no equilibrium.
+        is not an equilibrium.
         """
         ...
 

@@ -89,7 +89,7 @@ def archive(
     others = len(packed.members) - len(kept)
     echo(f"written: {output}, {len(kept)} files" + (f"; of {others} more the digests" if others else ""))
     for path in packed.left_out:
-        echo(f"left out: {path}, which is not of this result")
+        echo(f"left out: {path}, which does not belong to this result")
 
 
 def _pipeline_of(folder: Path) -> Path:
@@ -107,7 +107,7 @@ def _day(text: str | None) -> str:
     try:
         return datetime.date.fromisoformat(text).isoformat()
     except ValueError:
-        raise ConfigError(f"--date: '{text}' is no day", hint="write it as 2026-11-03") from None
+        raise ConfigError(f"--date: '{text}' is not a day", hint="write it as 2026-11-03") from None
 
 
 @click.command()
@@ -159,7 +159,10 @@ def runs(folder: Path, begin: bool, inputs: bool) -> None:
     "--crl", multiple=True, help="List of revoked certificates (repeatable); without it none is looked for."
 )
 @click.option(
-    "--signed", type=click.Choice(ROLES), multiple=True, help="Somebody must have signed so (repeatable)."
+    "--signed",
+    type=click.Choice(ROLES),
+    multiple=True,
+    help="Somebody must have signed as this (repeatable).",
 )
 @options.jobs
 @options.usual
@@ -178,10 +181,10 @@ def verify(
     """Verify the artefacts below FOLDER: each against the digest of its content, and the files that it was
     made from.
 
-    FOLDER may be s3://bucket/prefix, or an archive of `labpipe archive`: every file in it is held against its
-    digest as well, and with recordings in it the pipeline is run again and its artefacts compared byte for
-    byte. Exit code 0 when all holds, 1 when something does not, 2 when nothing could be verified. Results of
-    earlier versions carry no digest, which is said and is no fault.
+    FOLDER may be s3://bucket/prefix, or an archive of `labpipe archive`: every file in it is compared with
+    its digest as well, and with recordings in it the pipeline is run again and its artefacts compared byte
+    for byte. Exit code 0 when all holds, 1 when something does not, 2 when nothing could be verified.
+    Results of earlier versions carry no digest, which is said and is no fault.
 
     \b
     labpipe verify out/

@@ -26,7 +26,7 @@ class _Address(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         path = path_of(str(value))
         if is_remote(path) and not self.elsewhere:
-            self.fail(f"'{value}' is no path of this machine, which is needed here", param, ctx)
+            self.fail(f"'{value}' is not a path of this machine, which is needed here", param, ctx)
         return path
 
 

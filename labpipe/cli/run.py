@@ -186,14 +186,14 @@ _time = partial(click.option, type=_seconds, metavar="TIME", show_default=True)
 @options.pipeline_file
 @options.out_place
 @_time("--every", default="10 s", help="Time between two looks.")
-@_time("--settle", default="5 s", help="A recording is complete when it did not change for so long.")
+@_time("--settle", default="5 s", help="A recording is complete when it has not changed for this long.")
 @click.option(
     "--marker",
     default="",
     metavar="SUFFIX",
     help="A recording is complete when a file of its name and this suffix is there.",
 )
-@_time("--append", default="5 min", help="Results wait so long at most until they are appended.")
+@_time("--append", default="5 min", help="Results wait at most this long before they are appended.")
 @click.option(
     "--names", default="*", show_default=True, metavar="GLOB", help="Only recordings of such names."
 )

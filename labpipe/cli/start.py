@@ -186,7 +186,7 @@ def _echo_shapes(shapes: FileShapes, file: str) -> None:
     n_mode = shapes.frequency.size
     more = f"; {shapes.others} further record(s) of another kind or other nodes" if shapes.others else ""
     echo(f"{file}: {n_mode} mode shape(s) at {len(shapes.points)} points and directions{more}")
-    # A shape is not held against itself.
+    # A shape is not compared with itself.
     mac = shapes.mac - 2 * np.eye(n_mode)
     for n in range(n_mode):
         largest = shapes.points[int(np.argmax(np.abs(shapes.shapes[:, n])))]

@@ -379,7 +379,7 @@ class NumberTexts(Formatter):
 
     def format_ticks(self, values: Any) -> list[str]:
         """The texts of all numbers of an axis."""
-        # A step's own rounding is no digit of it.
+        # A step's own rounding is not a digit of it.
         step = min(np.diff(np.sort(values)), default=0.0)
         exact = [0.0 if abs(value) < 1e-9 * step else float(value) for value in values]
         texts = [self(value) for value in exact]

@@ -238,7 +238,7 @@ def _with_interval_parts(parameter: Parameter) -> Parameter:
     repeats = 0.0 if parameter.interval is None else parameter.interval.repeats
     full = parameter.full_error or noise
     rest = max(full**2 - noise**2 - systematic**2 - repeats**2, 0.0)
-    # What rounding leaves of equal squares is no model error.
+    # What rounding leaves of equal squares is not a model error.
     discrepancy = float(np.sqrt(rest)) if rest > 1e-9 * full**2 else 0.0
     return replace(parameter, interval=IntervalParts(noise, discrepancy, repeats, systematic))
 
@@ -338,7 +338,9 @@ def across_findings(setup: Setup, budget: uncertain.Budget) -> Iterator[Finding]
     """A note on the direction of a single sensor."""
     turned = {of.uncertainty.source for of in setup.outputs[0].uncertainties if of.effect == "direction"}
     if len(setup.outputs) == 1 and turned & {source.source for source in budget.sources}:
-        what = f"direction of {setup.outputs[0].label}: no other output tells the motion across, which counts"
+        what = (
+            f"direction of {setup.outputs[0].label}: no other output measures the motion across, which counts"
+        )
         yield Finding("number-uncertainty", f"{what} as if it were alike")
 
 
@@ -351,7 +353,7 @@ def _add_mass(case: Case, error: float) -> Case:
     mass = case.setup.settings.mass
     assert isinstance(mass, (int, float))
     if mass + error < 0:
-        what = f"the uncertainty of the mass {mass:g} kg reaches zero: {mass + error:.3g} kg is no mass"
+        what = f"the uncertainty of the mass {mass:g} kg reaches zero: {mass + error:.3g} kg is not a mass"
         raise FitError(
             what, hint="limits above zero such as 0.8 kg +- 0.5 kg (rectangular), or mass: estimate"
         )

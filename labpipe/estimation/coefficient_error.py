@@ -104,7 +104,7 @@ class CoefficientError:
 
 
 class Misfit(Protocol):
-    """A fit whose residual is not noise, as courses are held against it."""
+    """A fit whose residual is not noise, as courses are compared with it."""
 
     @property
     def names(self) -> tuple[str, ...]:

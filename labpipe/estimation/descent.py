@@ -40,7 +40,7 @@ def triangle_of_products(products: FloatArray) -> tuple[FloatArray, FloatArray] 
     """
     scale = np.sqrt(products.diagonal())
     if not np.isfinite(scale).all():
-        raise FitError("the fit got to values so far off that they cannot be computed with")
+        raise FitError("the fit reached values too far off to compute with")
     scale[scale == 0] = 1.0
     try:
         triangle: FloatArray = np.linalg.cholesky(products / (scale[:, None] * scale)).T

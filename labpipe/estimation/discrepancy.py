@@ -33,7 +33,7 @@ AMPLITUDES = np.concatenate([[0.0], 10.0 ** np.arange(-1, 4.01, 0.25)])
 SOUND = 0.95
 # The type of noise that is larger than measured.
 WHITE = "n"
-# Standard deviations of that prior beyond which a component is no continuation of the fit.
+# Standard deviations of that prior beyond which a component is not a continuation of the fit.
 FARTHEST = 4.0
 LINEARISATIONS, LARGEST_STEP, SMALL_STEP = 3, 0.7, 0.02
 # The excess of an interval over that of noise counts by this factor.
@@ -386,7 +386,7 @@ def _scan(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         judged = evidence(fit, courses, rows, LINEARISATIONS if begin is None else 2, begin)
         away = np.abs((judged.mean[..., :n] - base.theta[:n]) @ rows[:, :n].T)
-        # What an extension adds may vanish, or leave its range: its volume is no evidence then.
+        # What an extension adds may vanish, or leave its range: its volume is not evidence then.
         inside = np.array([mode_model.is_extension(base, fit.model, theta) for theta in judged.theta])
     usable = inside[:, None] & np.isfinite(judged.log) & np.all(away <= FARTHEST, axis=2)
     usable &= np.all(np.diagonal(judged.covariance, axis1=2, axis2=3) > 0, axis=2)

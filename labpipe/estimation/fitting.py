@@ -102,7 +102,7 @@ def _check_repeats(measured: FrequencyResponse, settings: FitSettings) -> None:
     if measured.repeats is None:
         if settings.repeat_groups:
             what = f"'repeat_groups': '{measured.name}' has no recordings that are fitted alone"
-            raise SettingError("repeat_groups", what, "several, of which each has all of the FRFs")
+            raise SettingError("repeat_groups", what, "several, each of which has all of the FRFs")
         return
     for key in ("bootstrap", "monte_carlo"):
         if getattr(settings, key):
@@ -218,7 +218,7 @@ def _beside_others(
         return None
     text = (
         f"{setup.settings.model}: one mode alone has a mass of {m:.3g} kg and a stiffness of {k:.3g} N/m, "
-        "which is no oscillator: other modes are in the FRF. A constant stands for them beside the mode; "
+        "which is not an oscillator: other modes are in the FRF. A constant stands for them beside the mode; "
         "`residuals: true` says so beforehand."
     )
     return DrivingMode(), other, text
@@ -413,7 +413,7 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
         assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         findings, factors = _contradict(case, uncertainties, assessed)
         if findings:
-            # What is named is no second time a sign of a wrong model.
+            # What is named is not a second time a sign of a wrong model.
             by = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
             stated = Stated(by[:, None] * stated.changes, stated.at / by)
             assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)

@@ -321,7 +321,8 @@ def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray)
     alone = np.eye(len(ratios))
     of_residual = alone if blocks.apart else ratios
     apparent = _by_force(deviation * leakage.kernel.weights[:, None, None], deviation, of_residual)
-    apparent /= measured.noise_dof
+    # What responses share is not in the variances of a table, yet they share what leaks.
+    apparent *= np.any(measured.covariance != 0, axis=0) / measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
     white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
     of_noise = white @ np.linalg.cholesky(noise)

@@ -1,4 +1,4 @@
-"""Fits of one rig at several levels of excitation, held against each other: what depends on the level is not
+"""Fits of one rig at several levels of excitation, compared with each other: what depends on the level is not
 linear.
 """
 
@@ -45,7 +45,7 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
             try:
                 level, unit = si_amount(text)
             except UnitError:
-                # "full" is no number, and not above or below any.
+                # "full" is not a number, and not above or below any.
                 continue
             group = groups.setdefault((levels[0], unit, others, fit.band_hz, fit.term), [])
             group.append((level, text, fit))

@@ -208,7 +208,7 @@ def _estimate(
     residual = measured.matrix - problem.model.receptance(best.values, measured.omega)
     r2, adjusted = determination(measured.matrix, residual, n_parameter)
     notes = (f"ml: started from {start}.", *(() if has_noise(measured) else (UNWEIGHTED_NOTE,)))
-    # Where few hits tell the noise, and lines share what they tell.
+    # Where few hits give the noise, and lines share what they tell.
     few = measured.noise is not None and np.isfinite(measured.noise_dof)
     interval_dof = np.full(n_parameter, min(dof, int(2 * measured.noise_dof))) if few else None
     return Estimate(

@@ -39,7 +39,7 @@ BIASED = 4.0
 # many hertz to either side, and as a multiple of the mains' frequency [Hz].
 OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
 
-# What a missing or moved mode leaves in a few lines is no noise, though noise of their power explains it.
+# What a missing or moved mode leaves in a few lines is not noise, though noise of their power explains it.
 OF_A_MODE = (MOVED_FREQUENCY, SECOND_MODE)
 WEIGH = "Measure several averages, or give their number and the coherence, so that lines count by their noise"
 RICHER = "Use a richer model, or narrow the band"
@@ -120,7 +120,7 @@ class _Judge:
         size = np.abs(measured.form_size[:, None, None] * measured.matrix).reshape(measured.omega.size, -1)
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         if self.stated is not None:
-            # What stated numbers change is no structure of a wrong model, of whatever size.
+            # What stated numbers change is not a structure of a wrong model, of whatever size.
             jacobian = orthonormal(np.column_stack([jacobian, self.stated.changes.T]))
             residual = residual - jacobian @ (jacobian.T @ residual)
         return residual_structure(residual, jacobian, size, null)

@@ -286,6 +286,51 @@ class DynamicModel:
         return stacks
 
 
+class Equation:
+    """e = B F - Z X of a model on its lines, and its derivatives by the coefficients.
+
+    *view* (n_line,) [1/s^n] and *offset* [1] make receptance of the measured form: X = (Y - offset F) / view.
+    """
+
+    def __init__(
+        self, model: DynamicModel, omega: FloatArray, view: ComplexArray | None = None, offset: float = 0.0
+    ) -> None:
+        self.model, self.omega = model, omega
+        self._view = np.ones(omega.size, np.complex128) if view is None else view
+        self._offset = offset
+        self.n_output, self.n_force = model.constant.force.shape
+
+    @cached_property
+    def _terms(self) -> tuple[ComplexArray, FloatArray]:
+        """Z_p(w) (n_parameter, n_line, n_output, n_output) and B_p (n_parameter, n_output, n_force)."""
+        w = self.omega[:, None, None]
+        stiffness = [
+            t.matrices.stiffness + 1j * w * t.matrices.damping - w**2 * t.matrices.mass
+            for t in self.model.terms
+        ]
+        return np.array(stiffness, np.complex128), np.array([t.matrices.force for t in self.model.terms])
+
+    def gain(self, values: FloatArray) -> ComplexArray:
+        """G of e = G z at the coefficients, (n_line, n_output, n_channel) [N per channel's unit]."""
+        stiffness = self.model.dynamic_stiffness(values, self.omega)
+        of_motion = -stiffness / self._view[:, None, None]
+        shape = (self.omega.size, self.n_output, self.n_force)
+        force = np.broadcast_to(self.model.whole(values).force.astype(np.complex128), shape)
+        force = force - self._offset * of_motion if self._offset else force
+        return np.concatenate([of_motion, force], axis=2)
+
+    def slopes(self, z: ComplexArray) -> ComplexArray:
+        """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""
+        force = z[..., self.n_output :]
+        shift = self._offset * force[..., : self.n_output] if self._offset else 0.0
+        motion = (z[..., : self.n_output] - shift) / self._view[:, None, None]
+        stiffness, factors = self._terms
+        moved = np.einsum("plij,lej->leip", stiffness, motion)
+        if np.any(factors):
+            moved = moved - np.einsum("pij,lej->leip", factors, force)
+        return -moved
+
+
 def compliance(model: DynamicModel, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
     """Z(w)^-1 [m/N], (n_line, n_dof, n_dof), at *parameters* (n_parameter,) and *omega* (n_line,) [rad/s];
     FitError where Z is singular.

@@ -118,8 +118,24 @@ def over_repeats(
     pooled = tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
     if len(repeats) < 2:
         return pooled
+    pooled = tuple(_without_scatter(fit, response) for fit in pooled)
     by_fit = zip(pooled, zip(*repeats.values(), strict=True), strict=True)
     return tuple(_over(fit, tuple(repeats), of_fit, test) for fit, of_fit in by_fit)
+
+
+def _without_scatter(pooled: Fit, response: FrequencyResponse) -> Fit:
+    """The fit without the systematic errors that each repeat has of its own, since their scatter holds
+    them.
+    """
+    own = {error.uncertainty.source for error in response.errors if error.by_repeat}
+    if not own or (budget := pooled.budget) is None:
+        return pooled
+    kept = [number for number, source in enumerate(budget.sources) if source.source not in own]
+    sources = tuple(budget.sources[number] for number in kept)
+    budget = replace(budget, sources=sources, changes=budget.changes[kept], drawn=None)
+    sizes = dict(zip(budget.names, map(float, budget.systematic), strict=True))
+    parameters = tuple(replace(p, systematic=sizes.get(p.name) if kept else None) for p in pooled.parameters)
+    return replace(pooled, parameters=parameters, budget=budget if kept else None)
 
 
 def _numbered_as(pooled: Fit, fit: Fit) -> Fit:

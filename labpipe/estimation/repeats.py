@@ -23,7 +23,7 @@ LEAST_FOR_OUTLIERS, FEW = 5, 8
 FAR_OF_FEW, FAR = 7.0, 4.5
 # The median of |y - median| of normal values times this is their standard deviation.
 MAD_SCALE = 1.4826
-# Share of repeats outside above which they are no outliers but a second population.
+# Share of repeats outside above which they are not outliers but a second population.
 MOST_OUTSIDE = 0.25
 # Rounds of reweighting towards the least absolute deviations.
 ROUNDS = 50

@@ -4,7 +4,7 @@ Every line gives a share of the estimate; the shares of lines near each other ma
 spreads it), and lines may differ in noise. The sum of their products with Bartlett's weights allows for both
 (Newey and West 1987, Econometrica 55:703).
 
-Where the size of the noise is not known, the structure of the residual is held against that of noise under
+Where the size of the noise is not known, the structure of the residual is compared with that of noise under
 the same fit: a residual is (I - P) n with P the projection on the Jacobian's columns, so noise is drawn,
 projected likewise, and the same statistics are computed: their p-values are exact whatever the band.
 """
@@ -123,7 +123,7 @@ NEIGHBOURHOOD = 0.1
 
 @dataclass(frozen=True)
 class Null:
-    """The noise that a residual is held against: *shared* from line to line, None for independent lines; of
+    """The noise that a residual is compared with: *shared* from line to line, None for independent lines; of
     a *power* along them. *few*: by few draws alone.
     """
 

@@ -196,7 +196,7 @@ class FitSettings(Settings):
         "draws of noise and of all numbers with an uncertainty, as a check of the budget",
         default=0,
     )
-    compare: bool = setting("flag", "hold the model against simpler and richer ones", default=False)
+    compare: bool = setting("flag", "compare the model with simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     repeats: str = setting(
         "choice",

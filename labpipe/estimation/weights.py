@@ -17,6 +17,7 @@ from labpipe.errors import FitError
 from labpipe.estimation.leakage import LineBlocks, SharedNoise, shared_residual
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import stack
+from labpipe.records.response import BlockCovariance
 
 # Share of the standard deviations by which a covariance may differ from such a product: rounding.
 ROUNDING = 1e-12
@@ -116,13 +117,15 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
     little from line to line, slightly too large where neighbours have a common noise estimate. FitError for
     nu <= n + 1. Equation (est-weights).
     """
-    nu, n = measured.noise_dof, measured.matrix.shape[1]
+    nu, n = measured.noise_dof, _responses_of_one(measured)[0]
     if not np.isfinite(nu):
         return WeightUncertainty(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
     if a <= 1:
         what = f"the covariance of {n} response(s) was estimated from {nu:.3g} degrees of freedom only"
-        raise FitError(what, hint="average more periods or blocks, or raise `smooth`")
+        raise FitError(
+            what, hint="average more periods or blocks, raise `smooth`, or of a table leave `averages` out"
+        )
     inflation, shared = measured.shared_noise * nu**2 / (a**2 - 1), measured.shared_power
     return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, shared), shared)
 
@@ -160,6 +163,24 @@ def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
     return (jacobian[:half] + 1j * jacobian[half:]).reshape(n_line, -1, *jacobian.shape[1:])
 
 
+def _responses_of_one(measured: Measured) -> tuple[int, int, int]:
+    """Responses and forces of one estimated covariance, and how many independent ones there are: of points
+    measured one after the other, and of a table, each has its own.
+    """
+    _, n, q = measured.matrix.shape
+    held = measured.stored_covariance
+    if isinstance(held, BlockCovariance):
+        block = held.elements[0]
+    elif isinstance(held, np.ndarray):
+        block = np.flatnonzero(np.any(held[:, 0] != 0, axis=0))
+    else:
+        return n, q, 1
+    rows = len(np.unique(block // q))
+    if rows < n:
+        return rows, len(block) // rows, n * q // len(block)
+    return n, q, 1
+
+
 def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
     """The second degree of freedom of the F distribution with the variance of the weighted residual.
 
@@ -167,11 +188,12 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
     forces, W lines with a common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2:
     2 (d1 + d2 - 2) / (d1 (d2 - 4)).
     """
-    n_line, n, q = measured.matrix.shape
+    n, q, copies = _responses_of_one(measured)
+    n_line = measured.omega.size
     a = measured.noise_dof - n
     # Lines whose noise is averaged count as often as their noise is correlated anyway.
     estimates = max(min(measured.noise_lines * measured.shared_power, n_line), measured.shared_noise)
-    spread = measured.noise_dof * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line)
+    spread = measured.noise_dof * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line * copies)
     # The fit reduces the residual: both parts scale with the remainder.
     scaled = spread * measured.n_equation / shared
     return float((2 * dof / shared - 4 + 4 * scaled) / (scaled - 2))
@@ -210,7 +232,7 @@ def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     if np.sqrt(8 * np.sum((share**2 / size)[..., None] * variance)) < LEAST_SHIFT:
         return measured
     error = shown - model
-    # What is further off is no noise; where noise is most of a force, nothing tells it.
+    # What is further off is not noise; where noise is most of a force, nothing tells it.
     likely = np.all(np.abs(error) <= FARTHEST * np.sqrt(variance), axis=(1, 2))
     likely &= np.max(np.sum(np.abs(gain @ error), axis=2), axis=1) < MOST_MOVED
     error *= likely[:, None, None]
@@ -336,7 +358,7 @@ def white_columns(whitener: Weights, lines: slice, by_line: ComplexArray) -> Com
 
 
 def is_short(weights: Weights) -> bool:
-    """Whether *weights* tell the noise by less than a whole matrix (n_line, n, n) [N/m]."""
+    """Whether *weights* give the noise by less than a whole matrix (n_line, n, n) [N/m]."""
     return isinstance(weights, ProductWeights) or weights.ndim == 2
 
 

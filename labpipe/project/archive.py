@@ -292,12 +292,12 @@ class Opened:
 def opened(path: Path) -> Iterator[Opened]:
     """An archive to be read. DataError for no ZIP, for names that lead out of it, and without metadata."""
     if not path.is_file():
-        what = "is no regular file" if path.exists() else "no such file"
+        what = "is not a regular file" if path.exists() else "no such file"
         raise DataError(what, path, NAME_ONE)
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
-        what = f"is no ZIP file, or a damaged one ({cut(str(error))})"
+        what = f"is not a ZIP file, or a damaged one ({cut(str(error))})"
         raise DataError(what, path, "have it sent again") from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
@@ -320,7 +320,7 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
     if "\0" in name or "\\" in name or ":" in parts[0] or any(part in ("", ".", "..") for part in parts):
         what = "has a name that leads out of the archive, or is none"
     elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
-        what = "is no regular file"
+        what = "is not a regular file"
     elif info.flag_bits & ENCRYPTED:
         what = "is encrypted"
     elif info.filename in members:

@@ -160,7 +160,7 @@ def read_sensor_response(path: Path) -> tuple[tuple[float, float, float], ...]:
         hint = "paths are relative to the file that names them"
         raise UnitError(f"no such file '{path.name}'", hint) from None
     except UnicodeDecodeError:
-        raise UnitError(f"'{path.name}' is no text table", f"columns: {', '.join(COLUMNS)}") from None
+        raise UnitError(f"'{path.name}' is not a text table", f"columns: {', '.join(COLUMNS)}") from None
     rows = list(csv.reader(lines, skipinitialspace=True))
     if not rows or tuple(cell.strip() for cell in rows[0]) != COLUMNS:
         raise UnitError(f"'{path.name}' has other columns", f"columns: {', '.join(COLUMNS)}")
@@ -174,7 +174,7 @@ def _row(row: list[str], name: str) -> tuple[float, float, float]:
     try:
         frequency, gain, phase = (float(cell) for cell in row)
     except ValueError:
-        raise UnitError(f"'{name}': '{','.join(row)}' is no frequency, gain and phase") from None
+        raise UnitError(f"'{name}': '{','.join(row)}' is not a frequency, gain and phase") from None
     if not (math.isfinite(frequency) and math.isfinite(phase) and frequency >= 0 and 0 < gain < math.inf):
         raise UnitError(f"'{name}': frequency {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg cannot be")
     return frequency, gain, math.radians(phase)
@@ -267,7 +267,7 @@ def _check_day(settings: CertificateSettings, valid_until: datetime.date | None,
     try:
         day = datetime.date.fromisoformat(settings.date) if settings.date else datetime.date.today()
     except ValueError:
-        raise UnitError(f"date: '{settings.date}' is no day", "write it as 2026-11-03") from None
+        raise UnitError(f"date: '{settings.date}' is not a day", "write it as 2026-11-03") from None
     if valid_until is not None and day > valid_until:
         hint = "" if settings.date else "say when was measured, date: 2026-11-03, if it was valid then"
         raise UnitError(f"{named} has expired: it was valid until {valid_until}", hint)

@@ -180,7 +180,7 @@ def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
     """Conditions as texts: people write numbers as well."""
     for condition in conditions.values():
         if not isinstance(condition, (str, int, float)):
-            raise TypeError(f"{condition!r} is no condition")
+            raise TypeError(f"{condition!r} is not a condition")
     return {str(name): str(condition) for name, condition in conditions.items()}
 
 
@@ -375,7 +375,7 @@ def _clauses(
         bound.append(json.dumps([rig for (rig,) in rigs if is_of_rig(criteria.rig, rig)]))
     for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
         if day:
-            # Not a number, which nothing is before or after, for what is no day.
+            # Not a number, which nothing is before or after, for what is not a day.
             clauses.append(f"date(substr({date}, 1, 10)) {sign} ?")
             bound.append(checked_day(day))
     for condition in criteria.where:

@@ -69,7 +69,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
     amounts = {condition: _amounts(table, condition) for condition in names}
     sorted_rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
     rows = [value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in sorted_rows]
-    # A date that is no day is neither before nor after another.
+    # A date that is not a day is neither before nor after another.
     return [row for row in rows if _day(row) is not None or not (criteria.since or criteria.until)]
 
 

@@ -52,7 +52,7 @@ class Contents:
 EXPERIMENT = "experiment"
 NAME = "ro-crate-metadata.json"
 VERSION = "https://w3id.org/ro/crate/1.1"
-# Of the context of version 1.1 the term is no part; that of 1.2 defines it so.
+# Of the context of version 1.1 the term is not part; that of 1.2 defines it so.
 CONTEXT = [f"{VERSION}/context", {"sha256": "http://schema.org/sha256"}]
 FAMILY = "https://w3id.org/ro/crate/"
 NO_LICENCE = "Not stated. Whoever made this archive decides what may be done with it."
@@ -160,7 +160,7 @@ def _run(contents: Contents) -> Iterator[Entity]:
 
 
 def read_metadata(content: bytes, where: str) -> Crate:
-    """What the metadata say; DataError where they are no RO-Crate, or not one of labpipe's."""
+    """What the metadata say; DataError where they are not an RO-Crate, or not one of labpipe's."""
     try:
         graph = json.loads(content.decode("utf-8"))["@graph"]
         entities: Mapping[str, Entity] = {entity["@id"]: entity for entity in graph}
@@ -176,9 +176,9 @@ def read_metadata(content: bytes, where: str) -> Crate:
         pipeline = unquote(main["mainEntity"]["@id"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         reason = cut(f"{type(error).__name__}: {error}")
-        raise DataError(f"is no RO-Crate of labpipe ({reason})", where, VERSION) from None
+        raise DataError(f"is not an RO-Crate of labpipe ({reason})", where, VERSION) from None
     if pipeline not in {file.name for file in files}:
-        raise DataError(f"names the pipeline '{cut(pipeline)}', which is no file of the archive", where)
+        raise DataError(f"names the pipeline '{cut(pipeline)}', which is not a file of the archive", where)
     return Crate(files, pipeline, left_out)
 
 

@@ -1,4 +1,4 @@
-"""Deciding by limits: a number with its uncertainty held against a rule with limits, and several together."""
+"""Deciding by limits: a number with its uncertainty, compared with those of a rule, and several together."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class SumReader:
         if not _NUMBER.match(piece) and not _TURN.match(piece):
             hint = nearest(piece, [*self.quantities, *self.constants])
             if re.search(r"[+-]", piece):
-                hint = "plus and minus between channels stand between blanks: f_x - m_s * a_x"
+                hint = "plus and minus between channels need blanks around them: f_x - m_s * a_x"
             raise UnitError(f"'{piece}' is neither a channel nor one of the constants", hint)
         within = f"{split_uncertainty(piece)[0]} in {name}"
         return parse_factor(piece, within if piece != term else name)

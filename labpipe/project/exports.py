@@ -54,7 +54,7 @@ def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
     table = _table(artefact)
     if table is None:
-        measured_files.read_response(artefact)  # DataError for a file that is no response
+        measured_files.read_response(artefact)  # DataError for a file that is not a response
         table = open_parquet(artefact).read().to_pandas()
     table.to_parquet(target, index=False)
 
@@ -351,7 +351,7 @@ _CONFORMITY = {"conditional-pass": "conditionalPass", "conditional-fail": "condi
 
 def write_dcc(artefact: Path, target: Path) -> None:
     """The parameters of a result with their expanded uncertainties, and the outcomes of its rules; the same
-    bytes for the same result. DataError for an artefact that is no result.
+    bytes for the same result. DataError for an artefact that is not a result.
     """
     identification = result_of(artefact, "cannot be written as a certificate")
     ET.register_namespace("dcc", DCC[1:-1])

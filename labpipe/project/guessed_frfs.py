@@ -40,7 +40,7 @@ class GuessedFrf:
     """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
     (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes. word:
     what the entry calls the columns, '' for records. elements: the columns of each element of a matrix. form:
-    where a name says it. doubts: what is a guess. label: of records, where it is no unit of an FRF.
+    where a name says it. doubts: what is a guess. label: of records, where it is not a unit of an FRF.
     conjugate: *values* are conjugates of the file's. reference: the force, where named; elements are then
     named by their responses.
     """
@@ -114,7 +114,7 @@ def _unit_of_frf(unit: str) -> str:
 
 
 def _without_header(table: frf_described.TextColumns) -> GuessedFrf | None:
-    """Three columns of numbers: steps of one size in the first, which is no time, and a complex number."""
+    """Three columns of numbers: steps of one size in the first, which is not a time, and a complex number."""
     frequency, re_, im = (table.column(n).real for n in range(3))
     steps = np.diff(frequency)
     if frequency.size < LEAST_LINES or frequency[0] < 0 or not steps.min() >= LEAST_STEP:

@@ -1,4 +1,4 @@
-"""identify: responses or decays -> identification.json, every rule of the pipeline held against it."""
+"""identify: responses or decays -> identification.json, every rule of the pipeline compared with it."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Marked:
         return Path(self.where.rsplit(":", 2)[0]).parent
 
     def folder_of(self, key: str) -> Path:
-        """The folder of the file that an entry stands in; of one by `--set`, which is no file, its own."""
+        """The folder of the file that an entry stands in; of one by `--set`, which is not a file, its own."""
         entry: Marked = self.content[key]
         return self.folder if entry.where.startswith(SET) else entry.folder
 
@@ -79,7 +79,7 @@ def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
     """The marked tree of a YAML file with the *overrides*; ConfigError with the place of a fault."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ConfigError("is no regular file", path)
+            raise ConfigError("is not a regular file", path)
         if path.is_file() and path.stat().st_size > MOST_BYTES:
             what = f"has more than {MOST_BYTES >> 20} MB"
             raise ConfigError(what, path, "a YAML file of settings is needed")

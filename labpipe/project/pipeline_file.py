@@ -322,7 +322,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
     per_file: list[EachFile] = []
 
     def imagined(reader: TestReader) -> tuple[Test, ...]:
-        """A test as each will be, so that settings are held against it."""
+        """A test as each will be, so that settings are compared with it."""
         per_file.append(reader.each_file())
         if reader.rig is None and not len(reader.faults):
             raise ConfigError("no rig file is named", path, "add rig: FILE")
@@ -395,7 +395,7 @@ def _sections(
     for name, entry in sections(entries):
         written = entries[name].content
         content = _section(entries[name], name, entry, Reading(faults, rig, names))
-        # Names count even where their entries cannot be read, so that rules on them are no faults.
+        # Names count even where their entries cannot be read, so that rules on them are not a faults.
         by_name = entry.named and isinstance(written, dict)
         names = (*names, *(written if by_name else names_of(name, content)))
         if content is not None:

@@ -19,14 +19,25 @@ from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import TIME, UFF_SUFFIXES, read_uff
 from labpipe.raw_files.uff_read import read_frf_uff
 from labpipe.records.frf_layout import FrfLayout
-from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
+from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port
 from labpipe.registry import Registry
 from labpipe.spectra.damping import undamped
 from labpipe.spectra.ports import join
-from labpipe.spectra.windows import amplitude_correlation
+from labpipe.spectra.quality import leaking_peaks
+from labpipe.spectra.windows import (
+    WINDOW_SAMPLES,
+    amplitude_correlation,
+    effective_averages,
+    line_correlation,
+    window_values,
+)
 
 MATRIX_SUFFIXES = (".mat", ".h5", ".hdf5", ".hdf")
 FRF_READERS = Registry("frf-reader")
+# Share of the distance of lines by which a written frequency may be off its line: few digits, and no more.
+OFF_LINE = 0.1
+# Blocks of random data whose number is not stated: so many that one more changes nothing.
+MANY_BLOCKS = 100
 
 
 def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
@@ -56,18 +67,26 @@ def is_response(path: Path) -> bool:
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
     """A ready response of any program; *name*, *conditions*: of its test, in place of its own."""
+    response = _checked(_read(path))
+    return response.renamed(name or response.name, conditions or response.conditions)
+
+
+def _checked(response: FrequencyResponse) -> FrequencyResponse:
+    return response if response.blocks else response.with_findings(leaking_peaks(response))
+
+
+def _read(path: Path) -> FrequencyResponse:
     if path.is_dir():
         raise DataError("is a folder, a file is needed", path)
     if not path.exists():
         raise DataError("no such file", path)
     try:
-        response = read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
+        return read_response(path) if path.suffix == ".parquet" else read_frf_file(path)
     except DataError as error:
         error.where = error.where or str(path)
         if error.what.startswith(OWN_LAYOUT):
             error.hint = _other_layouts(path, error.hint)
         raise
-    return response.renamed(name or response.name, conditions or response.conditions)
 
 
 # How a fault begins of a file that is not laid out as labpipe writes FRFs.
@@ -99,16 +118,18 @@ def load_described(
         for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
     ]
     response = join(responses) if layout.each else responses[0]
-    if layout.averages:
+    if layout.excitation:
+        response = _of_random_blocks(response, layout, frf.paths[0])
+    elif layout.averages:
         response = _with_noise(response, layout.averages, frf.paths[0])
     if layout.windowed is not None:
         response = undamped(response, layout.windowed.exponential)
     if layout.window and not response.line_correlation:
         response = replace(response, line_correlation=amplitude_correlation(layout.window))
-    return replace(response, name=name, conditions=conditions or response.conditions)
+    return replace(_checked(response), name=name, conditions=conditions or response.conditions)
 
 
-def _with_noise(response: FrequencyResponse, averages: int, path: Path) -> FrequencyResponse:
+def _with_noise(response: FrequencyResponse, averages: float, path: Path) -> FrequencyResponse:
     """E|dH|^2 = |H|^2 (1 / coherence - 1) / (averages - 1) of every element alone, of an H1 under one force
     at a time (Bendat and Piersol 2010, Random Data, 9.2); averages less one, since the same data tell it.
     """
@@ -122,7 +143,26 @@ def _with_noise(response: FrequencyResponse, averages: int, path: Path) -> Frequ
         raise DataError(what, path, "export it with more digits, or leave `averages` out")
     variance = np.abs(response.matrix) ** 2 * (1 / response.coherence - 1) / (averages - 1)
     held = BlockCovariance.uncorrelated(variance)
-    return replace(response, covariance=held, covariance_dof=averages - 1.0, averages=float(averages))
+    return replace(response, covariance=held, covariance_dof=averages - 1, averages=averages)
+
+
+def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path) -> FrequencyResponse:
+    """An H1 of random data in blocks of one over the distance of its lines, with what these leave in it."""
+    if response.blocks is not None:
+        raise DataError("says itself what its blocks were", path, "leave `excitation` out")
+    steps = np.diff(response.frequency)
+    # Over all lines, since each is written with few digits.
+    spacing = float(np.sum(steps) / np.sum(np.round(steps / np.median(steps))))
+    numbers = response.frequency / spacing
+    if np.any(np.abs(numbers - np.round(numbers)) > OFF_LINE):
+        what = "has lines that are not multiples of their distance, as those of whole blocks are"
+        raise DataError(what, path, "export all lines as they were measured, or leave `excitation` out")
+    window, number = window_values(layout.window, WINDOW_SAMPLES), layout.averages or MANY_BLOCKS
+    step = max(1, round(window.size * (1 - layout.overlap)))
+    if layout.averages:
+        response = _with_noise(response, effective_averages(window, step, number), path)
+    blocks = Blocks(1 / spacing, layout.window, layout.overlap, number, "H1")
+    return replace(response, blocks=blocks, line_correlation=line_correlation(window, step, number))
 
 
 def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
@@ -131,7 +171,7 @@ def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
     if layout.unit or layout.form:
         response = guard(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
     else:
-        response = load_response(path)
+        response = _read(path)
     return replace(
         response,
         outputs=_rename(response.outputs, dofs.outputs, "outputs", path),

@@ -112,7 +112,7 @@ def override_channels(path: Path, entry: Marked, faults: Faults, key: str) -> Ri
 
 def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
     """The rig with channels in other dofs, by channel; `output` and `input` stand for the only one of that
-    role. ConfigError for a name that is no channel.
+    role. ConfigError for a name that is not a channel.
     """
     places: dict[str, str] = {}
     names = [channel.name for channel in rig.all_channels]
@@ -120,7 +120,7 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
         of_role = [channel.name for channel in rig.all_channels if channel.role == name]
         if name not in names and len(of_role) != 1:
             what = f"the rig has {len(of_role)} channels of the role {name}"
-            what = what if of_role else f"'{name}' is no channel of the rig"
+            what = what if of_role else f"'{name}' is not a channel of the rig"
             raise ConfigError(what, hint=nearest(name, names))
         places[name if name in names else of_role[0]] = dof
 
@@ -207,7 +207,7 @@ def _read_channels(
     members = {term.channel for channel in derived for term in channel.terms}
 
     def as_member(recorded: RigChannel) -> RigChannel:
-        """A force in a sum is no force of its own unless the file says so."""
+        """A force in a sum is not a force of its own unless the file says so."""
         name = recorded.channel.name
         if name not in members or "role" in entries[name].content:
             return recorded

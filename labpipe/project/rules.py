@@ -98,7 +98,7 @@ class Rule:
     def outcome(
         self, value: float | str | None, passed: bool, shown: str = "", decision: RuleDecision | None = None
     ) -> RuleOutcome:
-        """What came of the rule, by the value [SI] that it was held against."""
+        """What came of the rule, by the value [SI] that it was compared with."""
         return RuleOutcome(self.section, self.text, value, passed, shown, decision)
 
     def outcome_of_all(self, compared: Sequence[tuple[Any, ...]]) -> RuleOutcome:
@@ -115,7 +115,7 @@ class Rule:
 
 # The address of rules on the warnings of every fit.
 EVERY_WARNING = "warnings"
-# What is held against a word.
+# What is compared with a word.
 WORDS = (EVERY_WARNING, "significant", "verdict")
 # Begin rules on a warning: it must not occur; it is taken where it occurs.
 NOT, ALSO = "not ", "also "
@@ -306,7 +306,7 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]
     for text in texts if what in WORDS else ():
         code = text.removeprefix(NOT).removeprefix(ALSO).strip()
         if _COMPARISON.match(text):
-            faults.add(entry, key, f"'{what}' is held against a word, not a number", "write the word alone")
+            faults.add(entry, key, f"'{what}' is compared with a word, not a number", "write the word alone")
         elif what == "significant" and text not in ("true", "false"):
             faults.add(entry, key, f"'{text}' is neither true nor false")
         elif what == EVERY_WARNING and (hint := _spelling(code)):

@@ -165,7 +165,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
             if runs[-1].line != line:
                 raise ValueError("another layout")
         except (*BAD_ENTRY, UnicodeDecodeError) as error:
-            raise DataError(f"line {number} is no run ({cut(str(error))})", path) from None
+            raise DataError(f"line {number} is not a run ({cut(str(error))})", path) from None
         digest = hashlib.sha256(line).hexdigest()
     return runs, digest
 

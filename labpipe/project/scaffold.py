@@ -395,7 +395,9 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     if guessed.conjugate:
         lines.append(_remark("  conjugate: true", "the phase rises through the highest peak"))
     if any("coherence" in parts for parts in (guessed.columns, *guessed.elements.values())):
-        lines.append(_remark("  # averages: 16", "how many: with the coherence they tell the noise"))
+        lines.append(_remark("  # averages: 16", "how many: with the coherence they give the noise"))
+    lines.append(_remark("  # window: hann", "of the blocks; beside it, of random data:"))
+    lines.append(_remark("  # excitation: random", "with overlap: 50 %, for example: takes the leakage out"))
     lines += _unit_lines(guessed)
     outputs, force = ["y"], _quoted(guessed.reference) if guessed.reference else "f"
     if guessed.elements:

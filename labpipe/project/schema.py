@@ -66,7 +66,7 @@ def _recordings() -> dict[str, Any]:
         "type": "object",
         "properties": {
             "file": {"type": "string", "description": "a file or a glob"},
-            "each": {**_TEXTS, "description": "files, of which each is a recording"},
+            "each": {**_TEXTS, "description": "files, each of which is a recording"},
             "join": {**_TEXTS, "description": "files that hold channels of one run"},
             "by": {
                 "enum": list(BY),
@@ -92,7 +92,7 @@ def _frfs() -> dict[str, Any]:
 
 # What the entries of a test mean.
 OF_TEST = {
-    "each": "files of which each is a test of its own, under the file's name",
+    "each": "files, each of which is a test of its own, under the file's name",
     "together": "parts of the pattern in which the recordings of one test differ",
     "pattern": "conditions in the file's name, for example {preload}-{direction}",
     "frf": "in place of the pipeline's, for this test",

@@ -220,7 +220,7 @@ def _by_itself(path: Path) -> Recording:
 def _as_stated(guessed: GuessedChannel) -> RigChannel:
     role = guessed.role or DEFAULT_ROLES.get(guessed.quantity, "reference")
     channel = Channel(guessed.key, guessed.quantity, role, guessed.dof, AXIS_ANGLES.get(guessed.dof))
-    # By the quantity: g of an acceleration is no gram.
+    # By the quantity: g of an acceleration is not a gram.
     unit = unit_of(guessed.unit, channel.unit)
     return RigChannel(channel, guessed.column, guessed.unit, unit.factor, unit.offset)
 

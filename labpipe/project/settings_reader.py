@@ -374,7 +374,7 @@ def listed(node: Marked) -> list[Marked]:
 
 def conditions_in(name: str, pattern: str) -> dict[str, str] | None:
     """The conditions in a file's *name*: '427N-up' by '{preload}-{direction}' is preload 427N, direction up;
-    None where it differs. '{}' is a part that is no condition; one that stands twice is the same in both
+    None where it differs. '{}' is a part that is not a condition; one that stands twice is the same in both
     places.
     """
     expression, wanted = "", list[str]()

@@ -66,7 +66,7 @@ def _signer(key: Key) -> Iterator[Any]:
             raise ConfigError("no such file", key.file, "name your key as PKCS#12 (.p12, .pfx)")
         signer = signers.SimpleSigner.load_pkcs12(str(key.file), passphrase=key.secret.encode())
         if signer is None or signer.signing_cert is None:
-            raise ConfigError("is no PKCS#12 file, or its password is another", key.file)
+            raise ConfigError("is not a PKCS#12 file, or its password is another", key.file)
         _check_valid(signer.signing_cert, str(key.file))
         yield signer
         return
@@ -140,7 +140,7 @@ def _sign_pdf(path: Path, signer: Any, role: str, reason: str, timestamper: Any)
             raise ConfigError(f"was signed as '{role}' already", path)
         signed = signers.PdfSigner(meta, signer, timestamper=timestamper).sign_pdf(document)
     except _library("pyhanko.pdf_utils.misc").PdfError as error:
-        raise DataError(f"is no PDF that can be signed ({error})", path) from None
+        raise DataError(f"is not a PDF that can be signed ({error})", path) from None
     with output_file(target) as temporary:
         temporary.write_bytes(signed.getvalue())
     return target
@@ -250,7 +250,7 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             roots += list(keys.load_certs_from_pemder([str(file)]))
             [root.subject.native for root in roots]  # A damaged one shows when it is read.
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"is no certificate ({cut(str(error))})", file) from None
+            raise ConfigError(f"is not a certificate ({cut(str(error))})", file) from None
     lists, pem = [], _library("asn1crypto.pem")
     for file in trust.revoked:
         try:
@@ -259,7 +259,7 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             lists.append(crl.CertificateList.load(content))
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"is no list of revoked certificates ({cut(str(error))})", file) from None
+            raise ConfigError(f"is not a list of revoked certificates ({cut(str(error))})", file) from None
     return _library("pyhanko_certvalidator").ValidationContext(
         trust_roots=roots,
         moment=moment,
@@ -368,7 +368,7 @@ def _detach(path: Path, trust: Trust) -> Signature:
     except ConfigError:
         raise
     except Exception as error:  # Damaged DER raises whatever it happens to be read as.
-        raise DataError(f"is no readable signature ({cut(str(error))})", path) from None
+        raise DataError(f"is not a readable signature ({cut(str(error))})", path) from None
     faults = _faults(status, trust)
     if content is None:
         faults = (f"'{signed.name}', which it signs, is not there",)

@@ -177,7 +177,7 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     """A rule on "fit[noise].item", or all noise levels; threshold is the noise of the success limit."""
     match = _STUDIED.match(rule.item)
     if match is None:
-        raise rule.fault("is no address", "write study.fit[1 %].coverage")
+        raise rule.fault("is not an address", "write study.fit[1 %].coverage")
     if match["item"] == "threshold":
         values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
     else:

@@ -239,7 +239,7 @@ class Watch:
         )
 
     def _refuse(self, path: Path, message: str) -> None:
-        """A recording that is no test, such as one of another name than the pattern's."""
+        """A recording that is not a test, such as one of another name than the pattern's."""
         assert self.pipeline.rig is not None
         test = Test(self.name_of(path), (SourceFile(path, self.pipeline.rig),))
         self._paths[test.name] = path

@@ -1,5 +1,5 @@
 """Calibration certificates: the Digital Calibration Certificate (DCC) of PTB, XML of schema 3, and tables of
-plain certificates as CSV. They are read without a network, entities or a schema file: held against what the
+plain certificates as CSV. They are read without a network, entities or a schema file: compared with what the
 published schema 3 (https://ptb.de/dcc) asks for where a number, its unit, uncertainty, validity or identity
 depends on it. A signature inside the XML is not verified.
 """
@@ -104,7 +104,7 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
 def _of_xml(content: bytes, name: str) -> Certificate:
     root = _parse(content, name)
     if root.tag != f"{DCC}digitalCalibrationCertificate":
-        raise UnitError(f"'{name}' is no Digital Calibration Certificate", HINT)
+        raise UnitError(f"'{name}' is not a Digital Calibration Certificate", HINT)
     if not re.fullmatch(r"3\.\d+\.\d+\S*", root.get("schemaVersion", "")):
         raise UnitError(f"'{name}' is of schema '{root.get('schemaVersion', '')}'", HINT)
     try:
@@ -129,7 +129,7 @@ def _of_xml(content: bytes, name: str) -> Certificate:
             refused=refused,
         )
     except UnitError as error:
-        raise UnitError(f"'{name}' is no valid certificate: {error.what}", error.hint or HINT) from None
+        raise UnitError(f"'{name}' is not a valid certificate: {error.what}", error.hint or HINT) from None
 
 
 def _parse(content: bytes, name: str) -> ET.Element:
@@ -156,7 +156,7 @@ def _parse(content: bytes, name: str) -> ET.Element:
         parser.Parse(content, True)
         return ET.fromstring(content)
     except (expat.ExpatError, ET.ParseError, ValueError, LookupError) as error:
-        raise UnitError(f"'{name}' is no readable XML ({error})", HINT) from None
+        raise UnitError(f"'{name}' is not a readable XML ({error})", HINT) from None
 
 
 def _local(element: ET.Element) -> str:
@@ -195,7 +195,7 @@ def _day(element: ET.Element) -> datetime.date:
         # A time zone behind a date moves it by less than a day.
         return datetime.date.fromisoformat(text[:10])
     except ValueError:
-        raise UnitError(f"'{_local(element)}' is '{text}', which is no day") from None
+        raise UnitError(f"'{_local(element)}' is '{text}', which is not a day") from None
 
 
 def _validity(administrative: ET.Element, end: datetime.date) -> tuple[datetime.date | None, str]:
@@ -322,7 +322,7 @@ def _listing(element: ET.Element) -> tuple[float, ...]:
 
 def _finite(text: str, name: str) -> float:
     if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", text) or not math.isfinite(float(text)):
-        raise UnitError(f"'{name}' has '{text[:80]}', which is no number")
+        raise UnitError(f"'{name}' has '{text[:80]}', which is not a number")
     return float(text)
 
 
@@ -409,14 +409,14 @@ def _day_of(text: str) -> datetime.date:
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:
-        raise UnitError(f"'{text}' is no day", "write it as 2026-11-03") from None
+        raise UnitError(f"'{text}' is not a day", "write it as 2026-11-03") from None
 
 
 def _rows(content: bytes, name: str) -> list[dict[str, str]]:
     try:
         lines = [line for line in content.decode("utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
     except UnicodeDecodeError:
-        raise UnitError(f"'{name}' is no text table", f"columns: {', '.join(NEEDED)}") from None
+        raise UnitError(f"'{name}' is not a text table", f"columns: {', '.join(NEEDED)}") from None
     reader = list(csv.reader(lines, skipinitialspace=True))
     heads = [cell.strip() for cell in reader[0]] if reader else []
     missing = [column for column in NEEDED if column not in heads]

@@ -372,7 +372,7 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
     try:
         unit = unit_of(stated, "Hz") if stated else parse_unit("rad/s" if table.omega else "Hz")
     except UnitError:
-        what = f"{source.word} '{column}' is in {stated} by the file's own header, which is no frequency"
+        what = f"{source.word} '{column}' is in {stated} by the file's own header, which is not a frequency"
         raise DataError(what, source.path) from None
     if table.omega and stated and not unit.dimension[5]:
         what = f"{source.word} '{column}' is in {stated} by the file's own header"

@@ -122,7 +122,7 @@ def read_geometry_csv(path: Path) -> Geometry:
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise DataError("is no text in UTF-8", path, "save the table as CSV") from None
+        raise DataError("is not a text in UTF-8", path, "save the table as CSV") from None
     delimiter = next((mark for mark in ";\t" if any(mark in line for line in lines)), ",")
     numbered = enumerate(csv.reader(lines, delimiter=delimiter), 1)
     rows = [
@@ -175,7 +175,7 @@ def _coordinate(text: str, unit: str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise DataError(f"the coordinate '{text.strip()}' is no number", where)
+        raise DataError(f"the coordinate '{text.strip()}' is not a number", where)
     try:
         return parse_value(f"{value!r} {unit or 'm'}", "m")
     except UnitError as error:

@@ -94,7 +94,7 @@ class Scaled:
         numbers = [np.asarray(item.attrs.get(name, otherwise)) for name, otherwise in PACKED.items()]
         for name, number in zip(PACKED, numbers, strict=True):
             if number.size != 1 or number.dtype.kind not in "iuf":
-                raise ValueError(f"{name} of {item.name} is no number")
+                raise ValueError(f"{name} of {item.name} is not a number")
         self._scale, self._offset, self._fill = (float(number.item()) for number in numbers)
 
     def __getitem__(self, where: Any) -> FloatArray:
@@ -151,7 +151,7 @@ def _check(content: memoryview, begin: int, end: int, order: str, top: bool = Fa
     while begin < end:
         kind, start, size, following = _element(content, begin, end, order)
         if top and kind not in (_MATRIX, _COMPRESSED):
-            raise ValueError(f"an element of type {kind} is no variable")
+            raise ValueError(f"an element of type {kind} is not a variable")
         if kind == _COMPRESSED:
             inner = zlib.decompress(content[start : start + size])
             _check(memoryview(inner), 0, len(inner), order)

@@ -189,7 +189,7 @@ class XlsxTable:
     def _rows_of_numbers(self) -> tuple[str, list[Row]]:
         openpyxl = load_extra("openpyxl", "excel", self.path)
         with reading(self.path, "Excel workbook"), warnings.catch_warnings():
-            # Of styles and extensions that are no numbers.
+            # Of styles and extensions that are not numbers.
             warnings.simplefilter("ignore")
             book = openpyxl.load_workbook(self.path, read_only=True, data_only=True)
             sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book.worksheets}
@@ -203,7 +203,7 @@ class XlsxTable:
         return next(iter(numeric.items()))
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """The rows (n, n_column) [unit of the file] at once; DataError names the cell that is no number."""
+        """The rows (n, n_column) [unit of the file] at once; DataError names a cell without a number."""
         rows = [
             (number, row)
             for number, row in enumerate(self._rows, self._first + 1)

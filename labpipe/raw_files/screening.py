@@ -175,7 +175,7 @@ def check_amounts(names: Sequence[str], block: FloatArray, first: int) -> None:
         return
     sample, channel = (int(place) for place in np.argwhere(beyond)[0])
     what = (
-        f"channel {names[channel]}: {block[sample, channel]:g} at sample {first + sample} is no measured "
+        f"channel {names[channel]}: {block[sample, channel]:g} at sample {first + sample} is not a measured "
         "number"
     )
     raise DataError(what, hint="check the unit, the sensitivity and the column")
@@ -296,7 +296,7 @@ class ChannelScreen:
         faults: list[Finding] = []
         for number, name in enumerate(self._names):
             if self._n_missing[number]:
-                what = f"{self._n_missing[number]} of {self.n_sample} samples are no numbers"
+                what = f"{self._n_missing[number]} of {self.n_sample} samples are not numbers"
                 first = self._first_missing[number]
                 faults.append(Finding("gap", f"channel {name}: {what}, the first is sample {first}"))
             if self._n_missing[number] == self.n_sample:

@@ -213,7 +213,7 @@ def open_table(path: Path) -> Table:
         what = f"files with the ending '{suffix}' cannot be read"
         raise DataError(what, path, f"known: {', '.join(READERS.names())}")
     if not path.is_file():
-        raise DataError("is no regular file", path)
+        raise DataError("is not a regular file", path)
     check_filled(path)
     table: Table = GuardedTable(guard(READERS.load(suffix), path))
     return table

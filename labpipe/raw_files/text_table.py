@@ -46,7 +46,7 @@ def open_unpacked(path: Path) -> BinaryIO:
 
 @contextmanager
 def open_text(path: Path, encoding: str = "utf-8") -> Iterator[io.TextIOWrapper]:
-    """The lines of a file, unpacked if need be; what is no text of the *encoding* is marked."""
+    """The lines of a file, unpacked if need be; what is not a text of the *encoding* is marked."""
     with open_unpacked(path) as stream, io.TextIOWrapper(stream, encoding, errors="replace") as lines:
         yield lines
 

@@ -133,7 +133,7 @@ def _points(ports: Iterable[Port]) -> list[UffPoint]:
 
 
 def _place(dof: str) -> tuple[str, int]:
-    """ "bearing2.y" -> ("bearing2", 2); a dof that is no axis is a scalar, 0."""
+    """ "bearing2.y" -> ("bearing2", 2); a dof that is not an axis is a scalar, 0."""
     place, _, axis = dof.rpartition(".")
     return (place, AXES.index(axis)) if axis in AXES[1:4] else (dof, 0)
 

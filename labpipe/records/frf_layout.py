@@ -74,9 +74,9 @@ class ElementColumns(Settings):
 
     def __post_init__(self) -> None:
         if self.given and self.given not in PARTS:
-            what = "alone is" if len(self.given) == 1 else "together are"
+            what = "alone is not" if len(self.given) == 1 else "together are not"
             hint = f"{_KNOWN_PARTS} are needed"
-            raise ConfigError(f"{' and '.join(self.given)} {what} no complex number", hint=hint)
+            raise ConfigError(f"{' and '.join(self.given)} {what} a complex number", hint=hint)
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ class FrfColumns(ElementColumns):
 class FrfLayout(Settings):
     """An entry under ``frfs:`` that describes its file."""
 
-    file: str = text("the file, or a glob of files of which each is a response of its own")
+    file: str = text("the file, or a glob of files, each of which is a response of its own")
     each: tuple[str, ...] = setting(
         "names", "files of one FRF matrix, one for each element, row or column", default=()
     )
@@ -138,7 +138,9 @@ class FrfLayout(Settings):
         "flag", "the numbers are the complex conjugate of H: their phase rises through a mode", default=False
     )
     averages: int = setting(
-        "integer", "independent averages behind an H1: with its coherence they tell the noise", default=0
+        "integer",
+        "averages behind an H1, independent but for `overlap`: with its coherence they give the noise",
+        default=0,
     )
     window: str = setting(
         "choice",
@@ -146,6 +148,14 @@ class FrfLayout(Settings):
         choices=WINDOWS,
         default="",
     )
+    excitation: str = setting(
+        "choice",
+        "random: every block has another force, so that an H1 holds what leaks through the window; default: "
+        "the same force",
+        choices=("random",),
+        default="",
+    )
+    overlap: float = setting("value", "overlap of neighbouring blocks of random data", unit="1", default=0.0)
     windowed: WindowedSettings | None = section(
         "window of the hits behind the FRF: its damping is taken out", WindowedSettings, None
     )
@@ -164,17 +174,26 @@ class FrfLayout(Settings):
         ):
             what = "neither 'columns' nor 'variables' say where the numbers stand"
             raise ConfigError(what, hint="columns: {frequency: 1, re: 2, im: 3}")
-        if self.averages == 1:
-            raise SettingError("averages", "the coherence of one average tells no noise")
-        if self.averages and self.windowed is not None:
-            what = "how the noise of a windowed hit goes on without its window is not known"
-            raise SettingError("averages", what, "leave out 'averages' or 'windowed'")
+        self._check_blocks()
         if self.axes and sorted(self.axes) != sorted(AXES):
             raise SettingError("axes", "'axes' must name frequency, output and input once each")
         if self.table is not None:
             self._check_elements(self.table)
         if self.table is not None or self.unit:
             self._check_unit()
+
+    def _check_blocks(self) -> None:
+        if self.averages == 1:
+            raise SettingError("averages", "the coherence of one average gives no noise")
+        if self.averages and self.windowed is not None:
+            what = "how the noise of a windowed hit goes on without its window is not known"
+            raise SettingError("averages", what, "leave out 'averages' or 'windowed'")
+        if self.excitation and (not self.window or self.windowed is not None):
+            what = "of random data leaks through the window of their blocks, and through no other"
+            raise SettingError("excitation", what, "window: hann beside it, and no 'windowed'")
+        if self.overlap and not (self.excitation and 0 <= self.overlap < 1):
+            what = "'overlap' is that of blocks of random data, at least 0 and below 100 %"
+            raise SettingError("overlap", what, "excitation: random beside it")
 
     @property
     def _are_universal(self) -> bool:
@@ -218,4 +237,4 @@ class FrfLayout(Settings):
         if form := form_of_unit(self.unit):
             return form, unit_of(self.unit, FORMS[form]).factor
         parse_unit(self.unit)
-        raise UnitError(f"'{self.unit}' is no unit of an FRF", OF_AN_FRF)
+        raise UnitError(f"'{self.unit}' is not a unit of an FRF", OF_AN_FRF)

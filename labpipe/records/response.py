@@ -278,8 +278,8 @@ class FrequencyResponse:
                         alone but sum_j gains(k, j) z_(k+j-m) of its neighbours, scaled to the variance 1 (an
                         exponential window taken out again)
     blocks              of random data, whose ends leave leakage in the FRF, or None
-    errors              systematic errors that no single port carries: of the numbers in sums of channels and
-                        of the members of these
+    errors              systematic errors that no single port carries: of the numbers in sums of channels, of
+                        the members of these, and of the noise of a force within its window
     repeats             (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where
                         each has all of it, or of every hit or sweep, or None; named by repeat_names
     repeat_levels       (n_repeat,) [unit of the force] r.m.s. of each recording or sweep, peak of each hit,
@@ -467,7 +467,7 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
         blocks=response.blocks and response.blocks.of_forces(columns),
         covariance=None if variance is None else BlockCovariance.uncorrelated(part(variance)),
         multiple_coherence=None if multiple is None else multiple[:, rows],
-        errors=tuple(MatrixError(error.uncertainty, part(error.change)) for error in response.errors),
+        errors=tuple(replace(error, change=part(error.change)) for error in response.errors),
         findings=(*response.findings, note("part-shown", message)),
     )
 

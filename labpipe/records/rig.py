@@ -135,14 +135,14 @@ class Geometry:
     lines: IntArray
 
     def checked(self) -> Geometry:
-        """The same; DataError for no point, one that stands twice, or a position that is no number."""
+        """The same; DataError for no point, one that stands twice, or a position that is not a number."""
         repeated = [name for n, name in enumerate(self.names) if name in self.names[:n]]
         if repeated:
             raise DataError(f"point '{repeated[0]}' stands twice")
         if not self.names:
             raise DataError("holds no point")
         if not np.all(np.isfinite(self.positions)):
-            raise DataError("a position is no number")
+            raise DataError("a position is not a number")
         return self
 
     def motion(self, dofs: Sequence[str], shapes: ComplexArray) -> ComplexArray:

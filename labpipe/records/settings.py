@@ -59,7 +59,7 @@ def _roots(entry: Any) -> tuple[complex, ...]:
     text = "".join(str(entry).replace("±", "+-").replace("rad/s", "").split())
     match = _ROOT.match(text)
     if match is None or not text:
-        raise UnitError(f"'{str(entry)[:80]}' is no root", EXAMPLE)
+        raise UnitError(f"'{str(entry)[:80]}' is not a root", EXAMPLE)
     real = float(match["real"] or 0.0)
     if text[-1] not in "ij":
         return (complex(real),)
@@ -109,7 +109,7 @@ def to_value(value: Any, setting: Setting) -> float:
     """ "15 Hz" -> 15.0; the dimension is checked. A number is SI."""
     if isinstance(value, Real) and not isinstance(value, bool):
         if math.isnan(value):
-            raise UnitError("not-a-number is no value")
+            raise UnitError("not-a-number is not a value")
         return float(value)
     return parse_value(_text(value, f"a value with its unit, for example '1 {setting.unit}'"), setting.unit)
 
@@ -244,7 +244,7 @@ def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ..
     for name, entry in _pairs(value, "coefficients", "{k_1_3: 0 N/m}"):
         unit = COEFFICIENT_UNITS.get(name[:1]) if name[1:2] in ("", "_") else None
         if unit is None:
-            raise UnitError(f"'{name}' is no coefficient", "their names begin with k_, c_, m_ or b_")
+            raise UnitError(f"'{name}' is not a coefficient", "their names begin with k_, c_, m_ or b_")
         coefficients.append((name, to_value(entry, replace(setting, unit=unit))))
     return tuple(coefficients)
 

@@ -54,7 +54,7 @@ def is_uncertain(value: Any) -> bool:
 def parse_uncertain(text: str, unit: str) -> Uncertain:
     """Value and standard uncertainty of "45.2 kN/m +- 1 %"; one in per cent is relative to the value.
 
-    Behind it in brackets: what the number is, where it is no standard uncertainty (k=2, rectangular or
+    Behind it in brackets: what the number is, where it is not a standard uncertainty (k=2, rectangular or
     triangular limits), its degrees of freedom (dof=12), and its cause (source=scale).
     """
     value_text, error_text = split_uncertainty(text)
@@ -156,14 +156,16 @@ class ChannelUncertainty:
 
 @dataclass(frozen=True)
 class MatrixError:
-    """What an error that no single channel carries does to a measured matrix: a number in a sum of channels.
+    """What an error that no single channel carries does to a measured matrix: a number in a sum of channels,
+    noise of the force within its window.
 
     *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the
-    *uncertainty*.
+    *uncertainty*. *by_repeat*: each repeat has its own, so that their scatter shows it.
     """
 
     uncertainty: Uncertainty
     change: ComplexArray
+    by_repeat: bool = False
 
     def __post_init__(self) -> None:
         what = f"change by {self.uncertainty.source}"

@@ -108,7 +108,7 @@ def _findings(findings: Sequence[Finding], nothing: str, kind: str = "passed") -
 
 
 def _content_blocks(findings: Sequence[Finding]) -> tuple[Block, ...]:
-    """What the file says of itself: that it says nothing is no test that was passed."""
+    """What the file says of itself: that it says nothing is not a test that was passed."""
     return _findings(findings, "The file carries no warnings; nothing was checked here.", "note")
 
 

@@ -286,9 +286,9 @@ EXPLAINED = {
         "those of the bearing file's mass."
     ),
     "bands": (
-        "Every coefficient of every band of the second test is held against the first one's by Welch's "
+        "Every coefficient of every band of the second test is compared with the first one's by Welch's "
         "t-test; the p-values are corrected after Holm for the number of tests, whatever neighbouring bands "
-        "share. What both tests have in common, such as the uncertainty of the support, is no part of their "
+        "share. What both tests have in common, such as the uncertainty of the support, is not part of their "
         "difference."
     ),
     "sensitivity": (

@@ -287,7 +287,7 @@ def _sweep_run(rig: SweepRig, name: str, rng: np.random.Generator) -> Recording:
 
 
 def check_matrices(rig: Any, n: int, *names: str) -> None:
-    """ConfigError for the first of the entries that is no matrix (n, n)."""
+    """ConfigError for the first of the entries that is not a matrix (n, n)."""
     for name in names:
         if np.shape(getattr(rig, name)) != (n, n):
             raise SettingError(name, f"{name} is not a {n} x {n} matrix")

@@ -16,7 +16,7 @@ from labpipe.spectra.shaft import shaft_motion
 # Lines are multiples of a spacing computed in floating point: one that lies on a band's edge belongs to the
 # band.
 EDGE = 1e-9
-# A period of fewer samples is read before it is held against the recording, which says more.
+# A period of fewer samples is read before it is compared with the recording, which says more.
 MANY_SAMPLES = 1 << 22
 
 

@@ -62,8 +62,8 @@ def checked_blocks(source: SampleSource) -> Iterator[FloatArray]:
 
 
 def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[int], start: int = 0) -> None:
-    """DataError at the first sample that is no number of a *block* (n, n_column) [unit of the channel] from
-    sample *start* on.
+    """DataError at the first sample that is not a number of a *block* (n, n_column) [unit of the channel]
+    from sample *start* on.
     """
     missing = np.argwhere(~np.isfinite(block))
     if not missing.size:
@@ -241,7 +241,7 @@ def uncertainty_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]
 
 
 def _alone(channels: Sequence[Channel]) -> Iterator[str]:
-    """Recorded channels whose direction has an uncertainty, and that no other one tells the motion across."""
+    """Recorded channels whose direction has an uncertainty, and across which no other one measures."""
     recorded = [channel for channel in channels if not channel.terms]
     for number, channel in enumerate(recorded):
         if any(uncertainty.effect == "direction" for uncertainty in channel.uncertainties) and not np.any(

@@ -29,7 +29,7 @@ def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
             if form == TRANSMISSIBILITY
             else ("displacement, velocity or acceleration per force")
         )
-        raise ConfigError(f"a response of the form '{form}' cannot be identified so", hint=hint)
+        raise ConfigError(f"a response of the form '{form}' cannot be identified", hint=hint)
     factor: ComplexArray = (2j * np.pi * frequency) ** DERIVATIVES[form]
     return factor
 

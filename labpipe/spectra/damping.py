@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray, handed_over
 from labpipe.errors import DataError
-from labpipe.records.response import FrequencyResponse
+from labpipe.records.response import BlockCovariance, FrequencyResponse
 from labpipe.spectra.matrices import without_rounding
+from labpipe.spectra.ports import Parts
 
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
@@ -208,3 +209,31 @@ def _crossing(square: FloatArray, inverse: FloatArray, peak: int, side: int, lev
     roots = np.roots([a, b, c]).real
     span = square[first - side] - square[first]
     return float(square[first] + roots[np.argmin(np.abs(roots - span / 2))])
+
+
+def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
+    """The parts less the damping that a window exp(-t / *decay*) [s] added, with their covariance;
+    *correlation* (n_distance,) [1] of the noise of lines under it.
+    """
+    of_lines = without_added_damping(parts.frequency, parts.matrix, decay)
+    gains = of_lines.gains
+    covariance = parts.covariance
+    if isinstance(covariance, np.ndarray):
+        covariance = covariance_without_damping(gains, covariance, correlation)
+    elif isinstance(covariance, BlockCovariance):
+        by_element = gains.reshape(*gains.shape[:2], -1)
+        blocks = np.empty_like(covariance.blocks)
+        for number, elements in enumerate(covariance.elements):
+            blocks[:, number] = covariance_without_damping(
+                by_element[:, :, elements], covariance.blocks[:, number], correlation
+            )
+        covariance = BlockCovariance(covariance.elements, handed_over(blocks))
+    between = correlation_matrix(np.arange(gains.shape[1]), correlation)
+    size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
+    return replace(
+        parts,
+        matrix=of_lines.matrix,
+        covariance=covariance,
+        line_correlation=tuple(complex(c) for c in correlation),
+        line_gains=gains / np.where(size > 0, size, 1.0)[:, None],
+    )

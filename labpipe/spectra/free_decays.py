@@ -34,7 +34,7 @@ SILENCE = 8
 # The largest rms over that of the quietest stretches below which nothing decays, and least samples of one.
 LEAST_RATIO = 4.0
 LEAST_STRETCH = 64
-# Whole periods over which the mean is taken out, so that a drifting rest position is no response.
+# Whole periods over which the mean is taken out, so that a drifting rest position is not a response.
 STEADY_PERIODS = 2
 LEAST_PERIODS = 3.0
 
@@ -118,7 +118,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
     if not np.any(moving) or samples.shape[0] < 16:
         raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
     scaled = centred[:, moving] / deviation[moving]
-    # Of the strongest line of the velocity: a drift or a step is no oscillation.
+    # Of the strongest line of the velocity: a drift or a step is not an oscillation.
     spectrum = np.sum(np.abs(fft.rfft(scaled, axis=0)) ** 2, axis=1)
     strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
     period = max(2, round(len(scaled) / max(strongest, 1)))
@@ -138,7 +138,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
 def _swinging(samples: FloatArray, length: int) -> FloatArray:
     """Distance (n_sample, n_output) from the mean over *length* samples before every sample or after it,
     whichever is nearer. A mean that reaches across a hit carries some of it to where nothing moves yet, and
-    the hit is no jump any more.
+    the hit is not a jump any more.
     """
     rest = _rest(samples, length)
     number = np.arange(samples.shape[0])

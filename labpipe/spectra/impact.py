@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
 from scipy import fft
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import BlockCovariance, FactoredCovariance, variance_of
+from labpipe.records.response import FactoredCovariance, variance_of
+from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra import damping
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF, corrected
-from labpipe.spectra.ports import Layout, Parts, left_out, lines_left
+from labpipe.spectra.ports import Layout, Parts, left_out, lines_left, parts_at_lines
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.welch import CrossSpectra
-from labpipe.spectra.windows import exponential_correlation
+from labpipe.spectra.windows import exponential_correlation, exponential_window, force_window
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
@@ -31,8 +32,6 @@ CLIPPED_RUN = 3
 ENDED = 0.5
 # Samples before a hit that tell the offset of its block.
 LEAST_BEFORE = 4
-# The force window falls from one to zero within this share of its length.
-FLANK = 0.1
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def find_hits(
     *n_sample* the block length. A hit begins where |force| exceeds the trigger, a share of the largest
     force in the recording, both relative to the zero level (the median of the first block); its block
     begins earlier by the pretrigger, or where the recording begins if it holds one block only, as an
-    analyser stores it. DataError for a sample that is no number or a force that does not vary.
+    analyser stores it. DataError for a sample that is not a number or a force that does not vary.
     """
     rest = np.median(next(iter(source.blocks(READ_SAMPLES))), axis=0)
     level = settings.trigger * max(
@@ -116,33 +115,6 @@ def find_hits(
         for start, trigger, samples in search.hits(rest[force], lambda: level):
             yield judged_hit(number, start, samples, trigger, source.channels, settings, rest)
             number += 1
-
-
-def hit_counts(sources: Sequence[SampleSource], settings: FrfSettings) -> list[int]:
-    """How many hits each recording holds, where some are left out by their numbers among all; else zeros.
-    DataError for a number that no hit has.
-    """
-    counts, reject = [0] * len(sources), settings.impact.reject
-    if reject:
-        assert settings.block is not None
-        for place, source in enumerate(sources):
-            n_sample = block_samples(source, settings.block)
-            hits = find_hits(source, check_single_force(source), n_sample, settings.impact)
-            counts[place] = sum(1 for _ in hits)
-        if max(reject) > sum(counts):
-            what = f"`reject` names hit {max(reject)}, {sum(counts)} are found"
-            raise DataError(what, hint="numbers run through all recordings of a test")
-    return counts
-
-
-def of_recordings(settings: FrfSettings, chosen: Iterable[int], counts: Sequence[int]) -> FrfSettings:
-    """The settings for the *chosen* of several recordings that hold so many hits: their own numbers are left
-    out, counted among their hits alone.
-    """
-    ends = np.cumsum(counts)
-    numbers = [number for n in chosen for number in range(ends[n] - counts[n] + 1, ends[n] + 1)]
-    reject: Any = tuple(str(place) for place, n in enumerate(numbers, 1) if n in settings.impact.reject)
-    return replace(settings, impact=replace(settings.impact, reject=reject))
 
 
 def judged_hit(
@@ -210,21 +182,6 @@ def noise_power(hit: Hit, force: int, lines: slice) -> FloatArray:
     return np.asarray(np.abs(fft.rfft(window * (rest - np.mean(rest)))[at]) ** 2 / np.sum(window**2))
 
 
-def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
-    """Force window: one up to *length* [samples] before and after the hit, then half a cosine to zero within
-    a tenth of it, (n_sample,).
-    """
-    past = np.abs(np.arange(n_sample) - trigger) - length
-    return 0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0))
-
-
-def exponential_window(n_sample: int, constant: float) -> FloatArray:
-    """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples. Applied to
-    force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation (frf-exponential).
-    """
-    return np.exp(-np.arange(n_sample) / constant)
-
-
 def check_single_force(source: SampleSource) -> int:
     """The column of the hammer; DataError when the recording has not exactly one force."""
     forces = columns_of(source.channels, "input")
@@ -236,11 +193,16 @@ def check_single_force(source: SampleSource) -> int:
 
 
 WINDOW = "give `impact: {force_window: ...}`"
+TAKEN_OFF = "that is taken off, as far as noise does not change"
+AFTER_HITS, IN_WINDOW = "after its hits makes H low by", "within its window moves H by"
+SHORTEN = "shorten `force_window` to a little more than the contact"
 # Standard errors of a gain common to all lines by which noise of the force may move it without a word.
 MOST_COMMON = 0.5
 # Lines to either side over which noise of the force is alike, the largest share of it that is taken off, and
 # the least part of the noise of H that is that of the responses.
 AROUND, MOST_NOISE, LEAST_PART = 16, 0.9, 1e-6
+# Errors of a force under its window beside the largest from which on they count, and the most that can.
+LEAST_COURSE, MOST_COURSES = 0.03, 24
 # Relative standard deviation of an FRF below which its scatter is rounding.
 ROUNDING = 1e-10
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
@@ -266,56 +228,127 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     pairs = zip(sources, averages, strict=True)
     findings += [left_out(source, why) for source, average in pairs if not average.n_found]
     averages, layout = _with_hits(averages, layout)
-    spectra = [average.spectra() for average in averages]
+    raw = _averaged(averages, settings, layout)
     findings.extend(average.slow_finding() for average in averages if average.slow)
-    correlation = averages[0].line_correlation()
+    parts, chosen = _on_lines(raw, averages, settings, layout), lines_left(raw.frequency, settings)
+    errors = [error[chosen] for error in _force_errors(averages, layout, settings.impact)]
+    if settings.impact.force_window is not None:
+        parts = _with_window_noise(parts, raw, averages, settings, layout, errors)
+    # The power of the force is in no product of H2.
+    elif settings.estimator != "H2":
+        low = settings.estimator == "H1"
+        parts = without_force_noise(parts, errors, layout, AFTER_HITS, WINDOW, taken_off=low)
+    return replace(parts, findings=(*findings, *parts.findings))
+
+
+def _with_window_noise(
+    parts: Parts,
+    raw: Parts,
+    averages: Sequence[_HitAverage],
+    settings: FrfSettings,
+    layout: Layout,
+    errors: Sequence[FloatArray],
+) -> Parts:
+    """The parts where noise of a force within its window, by its *errors* as in without_force_noise, moves H:
+    the hits aligned, and what their mean noise may be as errors that lines have in common. *raw*: at all
+    lines, before the damping of a window is taken out.
+    """
+    courses = force_courses(averages, layout)
+    hint = f"intervals count that; {SHORTEN}" if courses else SHORTEN
+    named = without_force_noise(parts, errors, layout, IN_WINDOW, hint, taken_off=False)
+    if len(named.findings) == len(parts.findings) or not courses:
+        return named
+    ports = zip(averages, layout.acting, layout.output_columns, strict=True)
+    of_hits = [average.aligned(raw, force, outputs) for average, force, outputs in ports]
+    aligned = _averaged(of_hits, settings, layout)
+    # A hit's residual of 2 n_line n_output numbers has lost one for each course.
+    lost = max(course.shape[1] for course in courses.values()) / (2 * raw.matrix[:, :, 0].size)
+    covariance = corrected(aligned.covariance, np.full(raw.matrix.shape, (1 - lost) ** -0.5 + 0j))
+    raw = replace(raw, matrix=aligned.matrix, covariance=covariance)
+    parts, chosen = _on_lines(raw, averages, settings, layout), lines_left(raw.frequency, settings)
+    common, names = [], ", ".join(average.name for average in averages)
+    for force, course in courses.items():
+        for number, column in enumerate(course[chosen].T, 1):
+            change = np.zeros_like(parts.matrix)
+            change[:, :, force] = parts.matrix[:, :, force] * column[:, None]
+            source = f"noise of the force {layout.inputs[force].label} in its window, {names}, {number}"
+            common.append(MatrixError(Uncertainty(source, 1.0, "1"), change, by_repeat=True))
+    return replace(parts, errors=tuple(common), findings=named.findings)
+
+
+def _averaged(averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:
+    """The FRF at all lines of the averages, with its noise averaged over lines where hits are few."""
+    spectra = [average.spectra() for average in averages]
     # Lines to either side that the noise is averaged over, and how many share one value of it.
+    correlation = averages[0].line_correlation()
     dof, shared = sum(s.averages for s in spectra) - len(layout.inputs), 1 + 2 * sum(abs(correlation) ** 2)
     half_width = int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
     # chosen afterwards.
-    everywhere = replace(settings, band=None, exclude=())
-    parts = parts_of_spectra(spectra, everywhere, layout, half_width)
+    parts = parts_of_spectra(spectra, replace(settings, band=None, exclude=()), layout, half_width)
     dof = parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
     covariance = parts.covariance
     if isinstance(covariance, FactoredCovariance):
         covariance = covariance.whole()
-    parts = replace(parts, dof=dof, covariance=covariance)
+    return replace(parts, dof=dof, covariance=covariance)
+
+
+def _on_lines(parts: Parts, averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:
+    """The parts with every hit alone, without the damping of a window, at the lines of the settings."""
     if len(averages) == 1:
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
-        parts = _without_window(parts, settings.damping_window, correlation)
-    chosen = lines_left(parts.frequency, settings)
-    parts = _select(parts, chosen)
-    parts = replace(parts, findings=(*findings, *parts.findings))
-    errors = [error[chosen] for error in _force_errors(averages, layout, settings.impact)]
-    if settings.impact.force_window is not None:
-        what, hint = (
-            "within its window moves H by",
-            "shorten `force_window` to a little more than the contact",
-        )
-        return without_force_noise(parts, errors, layout, what, hint, taken_off=False)
-    # The power of the force is in no product of H2.
-    if settings.estimator == "H2":
-        return parts
-    what, low = "after its hits makes H low by", settings.estimator == "H1"
-    return without_force_noise(parts, errors, layout, what, WINDOW, taken_off=low)
+        parts = damping.parts_without_window(parts, settings.damping_window, averages[0].line_correlation())
+    return parts_at_lines(parts, lines_left(parts.frequency, settings))
+
+
+def force_courses(averages: Sequence[_HitAverage], layout: Layout) -> dict[int, ComplexArray]:
+    """By the number of a force, dH / H (n_line, n) [1] of the mean over its hits by n independent errors of
+    one standard deviation: those of its noise within the window, of which lines nearer than the inverse of
+    its length share most. Empty where there are too many. Equation (frf-force-courses).
+    """
+    courses: dict[int, ComplexArray] = {}
+    for average, force in zip(averages, layout.acting, strict=True):
+        of_force = [a for a, other in zip(averages, layout.acting, strict=True) if other == force]
+        if (shapes := average.window_shapes()) is None:
+            return {}
+        power = sum(a.force_noise()[1] for a in of_force)
+        towards = np.sum([a.mean_force() for a in of_force], axis=0)
+        size = np.abs(towards) * np.sqrt(np.maximum(power, np.finfo(float).tiny))
+        courses[force] = -shapes * (towards.conj() / np.maximum(size, np.finfo(float).tiny))[:, None]
+    return courses
 
 
 def _force_errors(
     averages: Sequence[_HitAverage], layout: Layout, settings: ImpactSettings
 ) -> Iterator[FloatArray]:
-    """Relative error (n_line,) [1] of every recording's mean force by its noise that is alike at many lines.
-
-    The share of the noise in the power of the force, by which H1 of n hits is low but for 1/n of it; under a
-    force window the standard deviation of what this leaves, which lines nearer than its inverse share.
-    """
+    """Of every recording's mean force, see force_error."""
     for force in layout.acting:
         of_force = [a for a, other in zip(averages, layout.acting, strict=True) if other == force]
         n = sum(average.n_hit for average in of_force)
         noise, power = (sum(parts) for parts in zip(*(a.force_noise() for a in of_force), strict=True))
-        share = np.minimum(noise / np.maximum(power, np.finfo(float).tiny), MOST_NOISE)
-        yield share * (1 - 1 / n) if settings.force_window is None else np.sqrt(share / (2 * n))
+        yield force_error(noise, power, n, windowed=settings.force_window is not None)
+
+
+def force_error(noise: FloatArray, power: FloatArray, n_hit: int, *, windowed: bool) -> FloatArray:
+    """Relative error (n_line,) [1] of the mean force of *n_hit* hits by its noise that is alike at many
+    lines; *noise* and *power* (n_line,) [N^2 s^2 per spacing^2] summed over them.
+
+    The share of the noise in the power of the force, by which H1 of n hits is low but for 1/n of it; under a
+    force window the standard deviation of what this leaves, which lines nearer than its inverse share.
+    """
+    share = np.minimum(noise / np.maximum(power, np.finfo(float).tiny), MOST_NOISE)
+    return np.asarray(np.sqrt(share / (2 * n_hit)) if windowed else share * (1 - 1 / n_hit))
+
+
+def noise_around(noise: FloatArray, n_hit: int) -> FloatArray:
+    """Power of noise (n_line,) [any unit] summed over *n_hit* hits, by the median of neighbouring lines,
+    which hum in a few lines leaves as it is, over that of as many exponential values: 2 |N|^2 is like
+    chi-square.
+    """
+    around = scipy.ndimage.median_filter(noise, 2 * AROUND + 1, mode="nearest")
+    n = max(n_hit, 1)
+    return np.asarray(around * (n / float(scipy.special.gammaincinv(n, 0.5))))
 
 
 def without_force_noise(
@@ -336,7 +369,7 @@ def without_force_noise(
         variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
     )
     factor, snr, findings = np.ones((len(size), 1, size.shape[2]), np.complex128), parts.snr, []
-    hint = f"that is taken off, as far as noise does not change; {hint}" if taken_off else hint
+    hint = f"{TAKEN_OFF}; {hint}" if taken_off else hint
     for force in dict.fromkeys(layout.acting):
         of_force = [error for error, number in zip(errors, layout.acting, strict=True) if number == force]
         error, weights = np.mean(of_force, axis=0), precision[:, :, force]
@@ -386,7 +419,7 @@ class _HitAverage:
     def __init__(self, source: SampleSource, settings: FrfSettings) -> None:
         assert settings.block is not None
         self._source, self._settings = source, settings
-        self.force = check_single_force(source)
+        self.force, self.name = check_single_force(source), source.name
         # Two samples in every tenth, to see whether the response dies away.
         self.n_sample = block_samples(source, settings.block, 20)
         self._lines = line_range(self.n_sample, source.sample_rate, settings.band)
@@ -408,8 +441,8 @@ class _HitAverage:
         # Power of the force's noise at the lines, summed over the hits.
         self._noise = np.zeros(n_line)
         self._origins: list[float] = []
-        # Of each hit alone: number, peak force [N], amplitudes (n_line, n_channel).
-        self._alone: list[tuple[int, float, ComplexArray]] = []
+        # Of each hit alone: number, peak force [N], trigger, amplitudes (n_line, n_channel).
+        self._alone: list[tuple[int, float, int, ComplexArray]] = []
         # Responses that ring on, with the longest block [s] in which one would die away, 0 where unknown.
         self.slow: dict[str, float] = {}
         # Power of every channel (n_channel,) before the first hit.
@@ -436,18 +469,13 @@ class _HitAverage:
         self.n_hit += 1
         power = noise_power(hit, self.force, self._lines)
         self._noise += power * np.sum((window * self._exponential) ** 2)
-        self._alone.append((hit.number, float(np.max(np.abs(hit.samples[:, self.force]))), amplitude))
+        peak = float(np.max(np.abs(hit.samples[:, self.force])))
+        self._alone.append((hit.number, peak, hit.trigger, amplitude))
         self._origins.append(float(np.average(np.arange(self.n_sample), weights=samples[:, self.force] ** 2)))
 
     def force_noise(self) -> tuple[FloatArray, FloatArray]:
-        """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force with its noise, over all hits.
-
-        The noise by the median of neighbours, which hum in a few lines leaves as it is, over that of as many
-        hits' exponential values: 2 |N|^2 is like chi-square.
-        """
-        around = scipy.ndimage.median_filter(self._noise, 2 * AROUND + 1, mode="nearest")
-        median = float(scipy.special.gammaincinv(max(self.n_hit, 1), 0.5)) / max(self.n_hit, 1)
-        return around / median, self._sum[:, self.force, self.force].real
+        """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force and its noise, over all hits."""
+        return noise_around(self._noise, self.n_hit), self._sum[:, self.force, self.force].real
 
     def _note_slow(self, samples: FloatArray, hit: Hit) -> None:
         """Keep the responses of which more than the noise before the first *hit* is left at the end."""
@@ -489,13 +517,65 @@ class _HitAverage:
         if self._settings.damping_window is not None:
             return parts
         columns = list(layout.output_columns[0])
-        forces = np.array([amplitude[:, self.force] for _, _, amplitude in self._alone])
+        forces = np.array([amplitude[:, self.force] for *_, amplitude in self._alone])
         if len(self._alone) < 2 or len(layout.inputs) != 1 or min(columns) < 0 or not np.all(forces):
             return parts
-        numbers, peaks, amplitudes = zip(*self._alone, strict=True)
+        numbers, peaks, _, amplitudes = zip(*self._alone, strict=True)
         alone = np.stack(amplitudes, axis=1)
         hits: ComplexArray = alone[:, :, columns, None] / alone[:, :, self.force, None, None]
         return replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
+
+    def window_shapes(self) -> ComplexArray | None:
+        """Amplitudes (n_line, n) [N s per spacing] of the force's noise within the window of a hit, counted
+        from its trigger, by n independent real numbers of variance 1 that hold nearly all of it; None where
+        these are more than MOST_COURSES.
+        """
+        assert self._settings.impact.force_window is not None
+        length, trigger = self._settings.impact.force_window * self._source.sample_rate, self._alone[0][2]
+        window = force_window(self.n_sample, trigger, length) * self._exponential
+        at = np.flatnonzero(window)
+        # Twice the band times the length of the window.
+        if 2 * len(self._sum) * at.size > MOST_COURSES * self.n_sample:
+            return None
+        shapes = self._turned(at - trigger) * window[at]
+        _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)
+        noise = np.sqrt(self.force_noise()[0] / self.n_hit / np.sum(window**2))
+        return noise[:, None] * (shapes @ rows[sizes > LEAST_COURSE * sizes[0]].T)
+
+    def _turned(self, samples: IntArray) -> ComplexArray:
+        """exp(-jwt) (n_line, n) of the lines at *samples* (n,)."""
+        lines = np.arange(self._lines.start, self._lines.stop)
+        return np.exp(-2j * np.pi / self.n_sample * np.outer(lines, samples))
+
+    def mean_force(self) -> ComplexArray:
+        """The sum (n_line,) [N s per spacing] of the forces of all hits, each counted from its trigger."""
+        turned = self._turned(np.array([trigger for _, _, trigger, _ in self._alone]))
+        forces = np.array([amplitude[:, self.force] for *_, amplitude in self._alone])
+        return np.einsum("hl,lh->l", forces, turned.conj())
+
+    def aligned(self, parts: Parts, force: int, outputs: Sequence[int]) -> _HitAverage:
+        """The average with every hit's force less what its responses, beside those of all hits, say of noise
+        within its window: what is left between hits is noise of the responses. *parts*: the FRF of all hits;
+        *outputs*: columns of the responses.
+        """
+        other, shapes, here = copy(self), self.window_shapes(), np.array(outputs) >= 0
+        variance = variance_of(parts.covariance)
+        assert variance is not None and shapes is not None
+        weights = variance.reshape(parts.matrix.shape)[:, here, force] ** -0.5
+        response = parts.matrix[:, here, force]
+        if self._settings.estimator == "H1":
+            noise, power = self.force_noise()
+            response = response / (1 - np.minimum(noise / power, MOST_NOISE) * (1 - 1 / self.n_hit))[:, None]
+        other._sum = np.zeros_like(self._sum)
+        for _, _, trigger, amplitude in self._alone:
+            moved, amplitude = shapes * self._turned(np.array([trigger])), amplitude.copy()
+            left = amplitude[:, np.array(outputs)[here]] - response * amplitude[:, [self.force]]
+            columns = -(response * weights)[:, :, None] * moved[:, None, :]
+            rows = columns.reshape(left.size, -1), (left * weights).reshape(-1, 1)
+            design, right = (np.concatenate([of.real, of.imag]) for of in rows)
+            amplitude[:, self.force] -= moved @ np.linalg.lstsq(design, right[:, 0], rcond=None)[0]
+            other._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
+        return other
 
     def slow_finding(self) -> Finding:
         """The warning of responses that ring on at the end of the block."""
@@ -514,37 +594,3 @@ class _HitAverage:
         if self._settings.damping_window is None:
             return np.empty(0, np.complex128)
         return exponential_correlation(self._exponential, float(np.mean(self._origins)))
-
-
-def _without_window(parts: Parts, decay: float, correlation: ComplexArray) -> Parts:
-    undamped = damping.without_added_damping(parts.frequency, parts.matrix, decay)
-    gains = undamped.gains
-    covariance = parts.covariance
-    if isinstance(covariance, np.ndarray):
-        covariance = damping.covariance_without_damping(gains, covariance, correlation)
-    elif isinstance(covariance, BlockCovariance):
-        by_element = gains.reshape(*gains.shape[:2], -1)
-        blocks = np.empty_like(covariance.blocks)
-        for number, elements in enumerate(covariance.elements):
-            blocks[:, number] = damping.covariance_without_damping(
-                by_element[:, :, elements], covariance.blocks[:, number], correlation
-            )
-        covariance = BlockCovariance(covariance.elements, handed_over(blocks))
-    between = damping.correlation_matrix(np.arange(gains.shape[1]), correlation)
-    size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
-    return replace(
-        parts,
-        matrix=undamped.matrix,
-        covariance=covariance,
-        line_correlation=tuple(complex(c) for c in correlation),
-        line_gains=gains / np.where(size > 0, size, 1.0)[:, None],
-    )
-
-
-def _select(parts: Parts, chosen: BoolArray) -> Parts:
-    arrays: dict[str, Any] = {
-        name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
-    }
-    if isinstance(parts.covariance, BlockCovariance):
-        arrays["covariance"] = replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
-    return replace(parts, **arrays)

@@ -163,7 +163,9 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     matrix = np.asarray(sum(parts))
     estimate = joint_estimate(matrix, references, n_input, averages)
     findings = _strength_findings(estimate, frequency, settings, layout)
-    noise = noise_by_drive(estimate.noise, matrix, parts, [part.averages for part in spectra], n)
+    of_parts = [part.averages for part in spectra]
+    noise, dof = noise_by_drive(averages * estimate.noise, matrix, parts, of_parts, n)
+    noise = [of_drive / averages for of_drive in noise]
     covariance = covariance_by_neighbours(frequency, estimate.matrix, estimate.columns, noise, GAP)
     open_loop = open_loop_estimate(matrix[:, n:, n:], n_input)
 
@@ -175,7 +177,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         matrix=estimate.matrix,
         covariance=covariance,
         averages=averages,
-        dof=averages - n,
+        dof=dof,
         findings=(*findings, open_loop_note(frequency, estimate.matrix, covariance, open_loop)),
         line_correlation=spectra[0].line_correlation,
         blocks=blocks_of(spectra, settings, ESTIMATOR, layout.derivatives),

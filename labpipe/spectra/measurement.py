@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.spectra.bands import block_samples
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
 from labpipe.spectra.covariance import corrected
 from labpipe.spectra.feedback import feedback_of_records
-from labpipe.spectra.impact import hit_counts, impact_parts, of_recordings
+from labpipe.spectra.impact import check_single_force, find_hits, impact_parts
 from labpipe.spectra.joint import joint_parts
 from labpipe.spectra.periodic import periodic_parts, realisations, robust_mean
 from labpipe.spectra.ports import Layout, Parts, check_rate, find_layout, join, source_findings, without_short
@@ -70,13 +71,40 @@ def measure(
         responses = [_measure(members, settings, name, conditions) for members in realisations(sources)]
         response = robust_mean(responses, settings.smooth)
     else:
-        counts = hit_counts(sources, settings)
+        counts = _hit_counts(sources, settings)
         whole = _of_sensor_places(sources, settings, counts, name, conditions)
         response = _with_repeats(whole, sources, settings, counts)
     if response.form != TRANSMISSIBILITY:
         response = response.with_findings(reciprocity_findings(response))
     response = response.with_findings(short)
     return directional(response) if settings.directional else response
+
+
+def _hit_counts(sources: Sequence[SampleSource], settings: FrfSettings) -> list[int]:
+    """How many hits each recording holds, where some are left out by their numbers among all; else zeros.
+    DataError for a number that no hit has.
+    """
+    counts, reject = [0] * len(sources), settings.impact.reject
+    if reject:
+        assert settings.block is not None
+        for place, source in enumerate(sources):
+            n_sample = block_samples(source, settings.block)
+            hits = find_hits(source, check_single_force(source), n_sample, settings.impact)
+            counts[place] = sum(1 for _ in hits)
+        if max(reject) > sum(counts):
+            what = f"`reject` names hit {max(reject)}, {sum(counts)} are found"
+            raise DataError(what, hint="numbers run through all recordings of a test")
+    return counts
+
+
+def _of_recordings(settings: FrfSettings, chosen: Iterable[int], counts: Sequence[int]) -> FrfSettings:
+    """The settings for the *chosen* of several recordings that hold so many hits: their own numbers are left
+    out, counted among their hits alone.
+    """
+    ends = np.cumsum(counts)
+    numbers = [number for n in chosen for number in range(ends[n] - counts[n] + 1, ends[n] + 1)]
+    reject: Any = tuple(str(place) for place, n in enumerate(numbers, 1) if n in settings.impact.reject)
+    return replace(settings, impact=replace(settings.impact, reject=reject))
 
 
 def _with_repeats(
@@ -93,7 +121,7 @@ def _with_repeats(
         if len([channel for channel in source.channels if channel.role in ("input", "output")]) < len(ports):
             return response
         try:
-            of_one = _measure([source], of_recordings(settings, [number], counts), source.name, None)
+            of_one = _measure([source], _of_recordings(settings, [number], counts), source.name, None)
         except (LabpipeError, np.linalg.LinAlgError):
             if settings.excitation == "impact":
                 continue
@@ -162,7 +190,7 @@ def _of_sensor_places(
     responses = [
         _measure(
             [sources[n] for n in members],
-            of_recordings(settings, members, counts),
+            _of_recordings(settings, members, counts),
             sources[members[0]].name,
             conditions,
         )
@@ -229,7 +257,10 @@ def _measure(
         repeat_levels=np.array(parts.hit_peaks) if parts.hit_peaks else None,
         repeat_shares=parts.hit_shares,
         repeats_are=repeats_are,
-        errors=sum_errors(cleaned, settings, layout, (parts.frequency, matrix), open_loop),
+        errors=(
+            *sum_errors(cleaned, settings, layout, (parts.frequency, matrix), open_loop),
+            *(replace(error, change=error.change * sensor_factor) for error in parts.errors),
+        ),
         name=name,
         findings=findings,
         conditions=dict(conditions or {}),

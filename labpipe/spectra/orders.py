@@ -115,6 +115,8 @@ def track_order(
             f"order {order:g} of recording '{source.name}' reaches {top:.4g} Hz, beyond half its sample rate",
             hint="check speed and order",
         )
+    variance = variance * _whole_colour(colour, beside.size)
+    amplitude, variance = at_middle(times, revolutions / speed, amplitude, variance)
     chains = np.stack([sensor_response(sensor, order * speed) for sensor in sensors], axis=1)
     late = sum(channel.delay for channel in source.channels if channel.name == lines.tacho)
     amplitude = amplitude / chains * np.exp(-2j * np.pi * order * speed * late)[:, None]
@@ -123,7 +125,7 @@ def track_order(
         time=times,
         speed=speed,
         amplitude=amplitude,
-        variance=variance * _whole_colour(colour, beside.size) / np.abs(chains) ** 2,
+        variance=variance / np.abs(chains) ** 2,
         ports=ports,
         overall=overall,
         orbit=orbit,
@@ -241,6 +243,37 @@ def _whole_colour(colour: FloatArray, n_line: int) -> FloatArray | float:
     smooth = np.stack([np.convolve(column, window, "same") / count for column in colour.T], axis=1)
     deviation = 1 / np.sqrt(n_line * count)[:, None]
     return np.where(np.any(smooth - 1 > COLOURED * deviation, axis=0), np.maximum(smooth, 1.0), 1.0)
+
+
+# Segments whose means tell the course of a track within one of them; standard deviations from nothing of the
+# squared bends of a track, over its segments.
+COURSE, BENT = 5, 4.0
+
+
+def at_middle(
+    time: FloatArray, length: FloatArray, amplitude: ComplexArray, variance: FloatArray
+) -> tuple[ComplexArray, FloatArray]:
+    """The amplitude (n_segment, n_output) [any unit] in the middle *time* [s] of every segment, with its
+    variance: what a segment of some *length* [s] gives is its mean, off by about X'' length^2 / 24 where the
+    track bends. By the polynomial whose means over the five nearest segments are these; as it is where no
+    track bends by more than noise, or of fewer segments. Equation (run-bend).
+    """
+    n = time.size
+    if n < COURSE:
+        return amplitude, variance
+    near = np.clip(np.arange(n) - COURSE // 2, 0, n - COURSE)[:, None] + np.arange(COURSE)
+    # Means over the segments of (t / length)^k, of t from the middle of each.
+    centre, half = (time[near] - time[:, None]) / length[:, None], length[near] / length[:, None] / 2
+    power = np.arange(COURSE)[:, None, None] + 1
+    means = ((centre + half) ** power - (centre - half) ** power) / (2 * half * power)
+    value = np.broadcast_to(np.eye(COURSE)[0], (n, COURSE))[..., None]
+    weights = np.linalg.solve(means.transpose(1, 0, 2), value)
+    bend = np.sum(weights * amplitude[near], axis=1) - amplitude
+    own = weights - (near == np.arange(n)[:, None])[..., None]
+    ratio = np.abs(bend) ** 2 / np.maximum(np.sum(own**2 * variance[near], axis=1), 1e-300)
+    if np.all(np.mean(ratio, axis=0) - 1 < BENT / np.sqrt(n)):
+        return amplitude, variance
+    return amplitude + bend, np.sum(weights**2 * variance[near], axis=1)
 
 
 MOST_BLOCKS = 40

@@ -22,7 +22,7 @@ from labpipe.spectra.channels import columns_of
 OUTLIER_LEVEL = 1e-3
 # Standard deviation of a line as a share of the channel's strongest line below which it is rounding.
 ROUNDING = 1e-12
-# Lines to either side over which noise is averaged that a creeping rest position is held against.
+# Lines to either side over which noise is averaged that a creeping rest position is compared with.
 SEEN_BESIDE = 5
 
 
@@ -228,11 +228,11 @@ def settling_finding(
 
 # Periods that are added to the lines of the whole record together.
 TOGETHER = 16
-# Lines of the whole record to either side of one of a period that are held against the scatter, the least
+# Lines of the whole record to either side of one of a period that are compared with the scatter, the least
 # periods for it, and the chance by which a channel of independent periods fails.
 NEAREST, LEAST_PERIODS, BY_CHANCE = 2, 8, 1e-3
-# What a channel's noise has beyond those before it, in power, from which on it is no rounding, and what keeps
-# less from being zero.
+# What a channel's noise has beyond those before it, in power, from which on it is not a rounding, and what
+# keeps less from being zero.
 LEAST_OWN, RIDGE = 1e-9, 1e-12
 # Lines to either side whose noise is taken then: of so many between two lines of a period one, and at most.
 ONE_OF, MOST_BESIDE = 4, 8
@@ -326,7 +326,7 @@ class PeriodAverage:
             self._beside[2 * number + 1] += turned[-self._line_numbers].conj()
 
     def lines_beside(self) -> int:
-        """Lines of the whole record to either side of every line that tell the noise of the mean better than
+        """Lines of the whole record to either side of every line that give the noise of the mean better than
         the scatter; 0 where the periods scatter as independent ones do. Slow noise, of a mode that little
         damps or beyond the lines, does not: its parts in neighbouring periods belong together. Equation
         (spec-beside).

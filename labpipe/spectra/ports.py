@@ -261,7 +261,7 @@ class Parts:
     coherences and snr [1] as in FrequencyResponse; line_correlation and line_gains (n_line, n_neighbour,
     n_output, n_input) likewise, change, open_loop and blocks. hits (n_line, n_hit, n_output, n_input) [output
     unit / N] of one recording's hits or of all sweeps alone, with their numbers and peak (sweeps: r.m.s.)
-    forces [N]; hit_shares (n_hit,) [1] of a sweep's block before zeros.
+    forces [N]; hit_shares (n_hit,) [1] of a sweep's block before zeros; errors that lines have in common.
     """
 
     frequency: FloatArray
@@ -283,6 +283,7 @@ class Parts:
     hit_numbers: tuple[int, ...] = ()
     hit_peaks: tuple[float, ...] = ()
     hit_shares: FloatArray | None = None
+    errors: tuple[MatrixError, ...] = ()
 
 
 def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
@@ -293,6 +294,16 @@ def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
     if not np.any(chosen):
         raise DataError("no line of the band is left", hint="`exclude` and `mask` cover them all")
     return chosen
+
+
+def parts_at_lines(parts: Parts, chosen: BoolArray) -> Parts:
+    """The parts at the *chosen* lines (n_line,) alone."""
+    arrays: dict[str, Any] = {
+        name: values[chosen] for name, values in vars(parts).items() if isinstance(values, np.ndarray)
+    }
+    if isinstance(parts.covariance, BlockCovariance):
+        arrays["covariance"] = replace(parts.covariance, blocks=parts.covariance.blocks[chosen])
+    return replace(parts, **arrays)
 
 
 def coherence_findings(multiple: FloatArray, power: FloatArray, layout: Layout) -> tuple[Finding, ...]:
@@ -395,18 +406,12 @@ def _covariance(
 def _errors(
     responses: Sequence[FrequencyResponse], places: Sequence[Place], shape: tuple[int, int]
 ) -> tuple[MatrixError, ...]:
-    uncertainties = {
-        error.uncertainty.source: error.uncertainty for response in responses for error in response.errors
-    }
-    errors = []
-    for source, uncertainty in uncertainties.items():
-        whole = np.zeros((responses[0].n_frequency, *shape), np.complex128)
-        for response, (row, column) in zip(responses, places, strict=True):
-            for error in response.errors:
-                if error.uncertainty.source == source:
-                    whole[:, row, column] += error.change
-        errors.append(MatrixError(uncertainty, whole))
-    return tuple(errors)
+    by_source = {error.uncertainty.source: error for response in responses for error in response.errors}
+    wholes = {source: np.zeros((responses[0].n_frequency, *shape), np.complex128) for source in by_source}
+    for response, (row, column) in zip(responses, places, strict=True):
+        for error in response.errors:
+            wholes[error.uncertainty.source][:, row, column] += error.change
+    return tuple(replace(error, change=wholes[source]) for source, error in by_source.items())
 
 
 def _check_all_joined(

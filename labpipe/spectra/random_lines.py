@@ -17,10 +17,11 @@ from labpipe.records.response import Blocks
 from labpipe.registry import nearest
 from labpipe.spectra.channel_layout import ChannelLayout
 from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.covariance import noise_levels, residual_spectrum
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
-from labpipe.spectra.random import block_average, blocks_of, levels_of
+from labpipe.spectra.random import block_average, blocks_of
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
@@ -131,11 +132,13 @@ def random_lines(
     # Recordings without a channel are zeros in the mean, which is the noise of the others.
     noise = due_to_drives(matrix[:, :n, :n], matrix[:, :n, n:], lower, averages)[1]
     noise /= np.sqrt(np.outer(share, share))
-    by_drive = [noise] * n_drive
+    by_drive, dof = [noise] * n_drive, averages - n_drive
     if np.all(share == 1):
         first = [*range(n, n + n_drive), *range(n)]
         whole, *rest = (part[:, first][:, :, first] for part in (matrix, *parts))
-        by_drive = noise_by_drive(noise, whole, rest, [spectrum.averages for spectrum in spectra], n_drive)
+        by_drive, dof = noise_by_drive(
+            noise, whole, rest, [spectrum.averages for spectrum in spectra], n_drive
+        )
     residual = np.stack([transform @ moved @ hermitian(transform) for moved in by_drive], axis=1)
     # The amplitude, 0 to peak, of the lines of one block.
     assert settings.block is not None
@@ -161,7 +164,7 @@ def random_lines(
         vectors=vectors,
         covariance=covariance,
         runs=drives,
-        dof=averages - n_drive,
+        dof=dof,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
         blocks=blocks_of(spectra, settings, "H1"),
         findings=(*findings, *_unexplained_findings(s_zz, left, layout), *fed_back),
@@ -172,7 +175,7 @@ def random_lines(
 def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: ChannelLayout) -> tuple[str, ...]:
     """The names of the drives: those of `reference`, else all voltages and currents of role reference;
     DataError where there are none. ConfigError where more of them stand beside fewer forces: a command that
-    the loop makes is no drive, and only its user knows it.
+    the loop makes is not a drive, and only its user knows it.
     """
     references = [channel for source in sources for channel in source.channels if channel.role == "reference"]
     names = tuple(dict.fromkeys(channel.name for channel in references if channel.quantity in DRIVES))
@@ -209,7 +212,7 @@ def check_recorded(references: Sequence[str], sources: Sequence[SampleSource]) -
     roles = {channel.name: channel.role for source in sources for channel in source.channels}
     for name in references:
         if name not in roles:
-            what = f"'{name}' is no channel of the recordings"
+            what = f"'{name}' is not a channel of the recordings"
             raise SettingError("reference", what, nearest(name, dict.fromkeys(roles)))
         if roles[name] != "reference":
             part = "force" if roles[name] == "input" else "response"
@@ -245,25 +248,34 @@ def noise_by_drive(
     parts: Sequence[ComplexArray],
     averages: Sequence[float],
     n_drive: int,
-) -> list[ComplexArray]:
-    """The *noise* (n_line, n, n) [unit^2/Hz] in what each drive moves: that of every recording, at a level of
-    all its channels, by its share in the drive's power. *parts* of the *spectra* (n_line, n_channel,
-    n_channel), drives first.
+) -> tuple[list[ComplexArray], float]:
+    """The noise (n_line, n, n) [unit^2/Hz] in what each drive moves, and its complex degrees of freedom: that
+    of every recording by its share in the drive's power, or *noise* where all are alike. *parts* of the
+    *spectra* (n_line, n_channel, n_channel), drives first, of *averages* each. Equation (frf-noise-of-drive).
     """
     drives = spectra[:, :n_drive, :n_drive]
     inverse, white = np.linalg.inv(drives), np.linalg.inv(np.linalg.cholesky(drives))
-    levels = levels_of(parts, spectra[:, n_drive:, :n_drive] @ inverse, inverse, averages)
-    # What channels share would be turned by a level of each: what a channel has beyond the mean is its own.
-    mean = levels.mean(axis=0)
-    shares = [
-        np.einsum("lrr->rl", white @ part[:, :n_drive, :n_drive] @ hermitian(white)).real for part in parts
-    ]
-    common, own = np.tensordot(mean, shares, 1), np.tensordot(np.maximum(levels - mean, 0), shares, 1)
-    alone = noise * np.eye(noise.shape[1])
-    return [
-        noise * of[:, None, None] + alone * more.T[:, None]
-        for of, more in zip(common, own.swapaxes(0, 1), strict=True)
-    ]
+    shares = np.array(
+        [np.einsum("lrr->rl", white @ part[:, :n_drive, :n_drive] @ hermitian(white)).real for part in parts]
+    )
+    left = np.array([residual_spectrum(part, spectra[:, n_drive:, :n_drive] @ inverse) for part in parts])
+    dof, total = np.array(averages) - shares.sum(axis=1).mean(axis=1), float(sum(averages))
+    levels = noise_levels(np.einsum("elcc->lce", left).real, dof)
+    if len(parts) == 1 or np.all(levels == 1):
+        return [noise] * n_drive, total - n_drive
+    # What channels share, and what blocks lose, differs from line to line. A singular matrix tells less.
+    known = dof > noise.shape[1]
+    of_parts = np.array(
+        [
+            part * (total / own) if is_known else noise * level
+            for part, own, is_known, level in zip(left, dof, known, levels.mean(axis=0), strict=True)
+        ]
+    )
+    by_drive = np.einsum("erl,elcd->rlcd", shares, of_parts)
+    power, whole = (np.einsum("...cc->...", matrix).real for matrix in (of_parts, by_drive))
+    taken = np.mean(shares * power[:, None] / np.where(whole > 0, whole, 1.0), axis=2)
+    # The effective degrees of freedom of a sum (Welch and Satterthwaite), in the mean over the drives.
+    return list(by_drive), float(n_drive / np.sum(taken**2 / np.where(known, dof, total)[:, None]))
 
 
 def lower_of_drives(s_rr: ComplexArray, drives: Sequence[str], word: str = "drive") -> ComplexArray:

@@ -315,7 +315,7 @@ def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
         if share > SINE_SHARE and size > LEAST_LEVEL * max(sizes)
     ]
     if not kept:
-        raise DataError("the force is no sine in any of its dwells", hint="is it another excitation?")
+        raise DataError("the force is not a sine in any of its dwells", hint="is it another excitation?")
     return kept
 
 

@@ -25,7 +25,7 @@ WITHIN = 6.0
 # Most by which a straight line through the samples of a sine misses its crossing [periods], times the square
 # of the samples per period: all that the crossings of a force without noise scatter by.
 BENT = 0.3
-# Scatter of the crossings [periods] above which the force is no sine; least that is believed.
+# Scatter of the crossings [periods] above which the force is not a sine; least that is believed.
 MOST_SCATTER, LEAST_SCATTER = 0.05, 1e-6
 # Standard errors of the curvature of the phase by which a frequency runs on instead of staying.
 CURVED = 4.0
@@ -45,7 +45,7 @@ class Dwell:
 def find_dwells(force: FloatArray) -> list[Dwell]:
     """The dwells in a force (n_sample,) [N], in their order in time. The phase of the force, known at its
     zero crossings, is a broken line over time: every straight piece of LEAST_PERIODS periods or more is a
-    dwell. DataError for a force that is no sine, without dwells, or whose frequency runs on.
+    dwell. DataError for a force that is not a sine, without dwells, or whose frequency runs on.
     """
     times = rising_crossings(force - np.mean(force))
     if times.size <= LEAST_PERIODS:
@@ -54,7 +54,7 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
     bend = np.diff(times, 2) / (0.5 * (times[2:] - times[:-2]))
     scatter = max(float(1.4826 * np.median(np.abs(bend)) / np.sqrt(6)), LEAST_SCATTER)
     if scatter > MOST_SCATTER:
-        raise DataError(f"the force is no sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
+        raise DataError(f"the force is not a sine: its periods scatter by {100 * scatter:.0f} %", hint=_HINT)
     pieces = [
         piece
         for piece in _refine(times, _straight_pieces(times, scatter))
@@ -64,7 +64,7 @@ def find_dwells(force: FloatArray) -> list[Dwell]:
         raise DataError(f"the force stays at no frequency for {LEAST_PERIODS} periods", hint=_HINT)
     curved = [_is_curved(times[first:last]) for first, last in pieces]
     if np.mean(curved) > 0.5:
-        what = "the frequency of the force runs on: a sweep, no dwells"
+        what = "the frequency of the force keeps changing: a sweep, not dwells"
         raise DataError(what, hint="excitation: stepped-sine needs constant frequencies")
     dwells = []
     for first, last in pieces:
@@ -199,9 +199,7 @@ LEAST_LENGTH = 0.1
 BACK, OFF_LAW = 0.9, 0.06
 # A sweep reaches on in steps of so many periods, while this share of the power lies within a factor of its
 # frequency.
-REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, 0.8, 1.15
-# Ratio of frequencies and rates, less one, up to which two sweeps are the same.
-ALIKE = 0.1
+REACH_PERIODS, REACH_SHARE, REACH_SPAN = 12.0, 0.6, 1.15
 # What runs on a straight line over time, and back to the frequency.
 LAWS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]] = {
     "linear": (np.asarray, np.asarray),
@@ -241,11 +239,6 @@ class FoundSweep:
         """
         return self.growth * (1.0 if self.law == "linear" else frequency)
 
-    def is_like(self, other: FoundSweep) -> bool:
-        """Whether *other* repeats this sweep."""
-        ratios = other.first / self.first, other.last / self.last, other.growth / self.growth
-        return self.law == other.law and all(abs(np.log(ratio)) < ALIKE for ratio in ratios)
-
     def frequency_at(self, sample: float) -> float:
         """The frequency [periods per sample] at a *sample*, that of the nearer end before and after."""
         passed = min(max((sample - self.start) / (self.stop - self.start), 0.0), 1.0)
@@ -279,7 +272,7 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
         if sweep.level > LEAST_LEVEL * loudest and sweep.stop - sweep.start > LEAST_LENGTH * longest
     ]
     if all(sweep.steps for sweep in sweeps):
-        what = "the frequency of the force stays and steps: dwells, no sweep"
+        what = "the frequency of the force stays and steps: dwells, not a sweep"
         raise DataError(what, hint="excitation: stepped-sine")
     return sweeps
 
@@ -449,7 +442,7 @@ def cuts(sweeps: list[FoundSweep], n_sample: int) -> list[tuple[int, int]]:
 # Lines in the half-power width that show a resonance at all; those that tell its leakage from its response:
 # with half as many the damping was off by up to half its standard error.
 FEWEST_LINES, LEAKING_LINES = 4.0, 8.0
-# Coherence, the median of so many lines to either side, below which the highest line of an FRF is no peak.
+# Coherence, the median of so many lines to either side, below which the highest line of an FRF is not a peak.
 CLEAR_PEAK, CLEAR_LINES = 0.98, 5
 
 

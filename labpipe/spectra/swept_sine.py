@@ -42,13 +42,14 @@ AT_REST, NOISE_ALONE = 0.02, 1.5
 LEAST_SHARE, AROUND = 0.1, 101
 
 
-# Share of the widest band below which a sweep is left out: the record begins or ends within it. Share of the
-# longest block above which one counts as whole.
-WHOLE = 0.9
+# Share of the widest band below which a sweep is left out: the record begins or ends within it (ends are
+# found to some per cent in noise). Share of the longest block above which one counts as whole.
+WIDE, WHOLE = 0.8, 0.9
 
 
-# Lines to either side over which two sweeps are coherent but for noise, and pairs that are looked at.
-COHERENT, MOST_PAIRS = 8, 12
+# Lines to either side over which two sweeps are coherent but for noise, pairs that are looked at, and the
+# correlation of their forces from which on one repeats the other: that of noise as large as the force.
+COHERENT, MOST_PAIRS, REPEATED = 8, 12, 0.5
 # Times of a block and lines to either side by which its zeros are told.
 TIMES, FURTHEST = 512, 8
 
@@ -158,7 +159,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     )
     lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
     bursts = _bursts(spectra, lines, every, layout, n_sample, rate)
-    low = _low_by_noise(spectra.blocks, lines, sweeps, layout, n_sample)
+    low = _low_by_noise(spectra.blocks, lines, layout, n_sample)
     what, hint = "in repeated sweeps makes H low by", "average less of it: a better sensor, or more force"
     parts = replace(parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings))
     parts = without_force_noise(parts, low, layout, what, hint, taken_off=True)
@@ -173,7 +174,7 @@ def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
     places = cuts(sweeps, samples.shape[0])
     widest = max(sweep.high - sweep.low for sweep in sweeps)
-    whole = [n for n, sweep in enumerate(sweeps) if sweep.high - sweep.low >= WHOLE * widest]
+    whole = [n for n, sweep in enumerate(sweeps) if sweep.high - sweep.low >= WIDE * widest]
     kept, left_out = [sweeps[n] for n in whole], [s for n, s in enumerate(sweeps) if n not in whole]
     return _Swept(source.name, kept, [places[n] for n in whole], samples, left_out)
 
@@ -464,25 +465,26 @@ def _bursts(
     return (Finding("burst", what),)
 
 
-def _low_by_noise(
-    blocks: ComplexArray, lines: IntArray, sweeps: list[FoundSweep], layout: Layout, n_sample: int
-) -> list[FloatArray]:
+def _low_by_noise(blocks: ComplexArray, lines: IntArray, layout: Layout, n_sample: int) -> list[FloatArray]:
     """How low least squares make H by noise n in the power s + n of a recording's force, (n_line,) [1] each:
-    (1 - 1 / n_block) n / (s + n). Repeated sweeps, alike but for a delay, have the coherence s / (s + n) over
-    lines around; 0 without any, and where several forces act.
+    (1 - 1 / n_block) n / (s + n). Repeated sweeps, alike but for a delay by the correlation of their forces,
+    have the coherence s / (s + n) over lines around; 0 without any, and where several forces act.
     """
     forces = blocks[:, :, : len(layout.inputs)]
     size, every = np.sum(np.abs(forces) ** 2, axis=1), np.ones(lines.size, bool)
     low: dict[int, FloatArray] = {}
     for force, of_force in enumerate((size == size.sum(axis=1, keepdims=True)).T):
         pairs = itertools.combinations(np.flatnonzero(of_force), 2)
-        alike = (list(pair) for pair in pairs if sweeps[pair[0]].is_like(sweeps[pair[1]]))
         of_pairs = []
-        for pair in itertools.islice(alike, MOST_PAIRS):
-            u, v = forces[pair, :, force]
+        for pair in itertools.islice(pairs, MOST_PAIRS):
+            u, v = forces[list(pair), :, force]
             cross = np.zeros(n_sample, np.complex128)
             cross[lines] = u * v.conj()
-            late = int(np.argmax(np.abs(fft.ifft(cross))))
+            correlation = n_sample * np.abs(fft.ifft(cross))
+            late = int(np.argmax(correlation))
+            # Sweeps of other speeds or directions share no more than a part of their lines at any delay.
+            if correlation[late] < REPEATED * np.linalg.norm(u) * np.linalg.norm(v):
+                continue
             cross = cross[lines] * np.exp(2j * np.pi * lines * late / n_sample)
             means = (neighbourhood_mean(x, every, COHERENT) for x in (cross, np.abs(u) ** 2, np.abs(v) ** 2))
             shared, one, other = means

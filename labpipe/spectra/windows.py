@@ -1,4 +1,6 @@
-"""Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage."""
+"""Windows of random data: values, noise bandwidth, correlation of overlapping blocks, and their leakage;
+windows of hits.
+"""
 
 from __future__ import annotations
 
@@ -190,3 +192,22 @@ def kernel_of(blocks: Blocks) -> LeakageKernel:
     return LeakageKernel(
         blocks, offsets[inside].astype(float), amplitude[inside] / np.linalg.norm(amplitude[inside])
     )
+
+
+# The force window falls from one to zero within this share of its length.
+FLANK = 0.1
+
+
+def force_window(n_sample: int, trigger: int, length: float) -> FloatArray:
+    """Force window: one up to *length* [samples] before and after the hit, then half a cosine to zero within
+    a tenth of it, (n_sample,).
+    """
+    past = np.abs(np.arange(n_sample) - trigger) - length
+    return 0.5 + 0.5 * np.cos(np.pi * np.clip(past / (FLANK * length), 0.0, 1.0))
+
+
+def exponential_window(n_sample: int, constant: float) -> FloatArray:
+    """exp(-t / constant) from the start of the block, (n_sample,) [1]; *constant* in samples. Applied to
+    force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation (frf-exponential).
+    """
+    return np.exp(-np.arange(n_sample) / constant)

@@ -137,11 +137,13 @@ def equilibrium_paths(
     settings: EquilibriumSettings, matrix: comparison.ConditionMatrix, fits: Sequence[Fit]
 ) -> tuple[comparison.EquilibriumPath, ...]:
     """One path for every level of the other conditions that has two loads or more; *fits*: those of all tests
-    of the matrix. ConfigError where x or y is no displacement, or the load no force. Equation (comp-path).
+    of the matrix. ConfigError where x or y is not a displacement, or the load no force. Equation (comp-path).
     """
     number = [axis.name for axis in matrix.axes].index(settings.load)
     if matrix.axes[number].unit != QUANTITIES["force"].si_unit:
-        what = f"the condition '{settings.load}' is no force but in {matrix.axes[number].unit or 'no unit'}"
+        what = (
+            f"the condition '{settings.load}' is not a force but in {matrix.axes[number].unit or 'no unit'}"
+        )
         raise SettingError("path", what, "write the load as a force, for example 50 N")
     axes = [axis for axis in matrix.axes if axis.name != settings.load]
     paths = []
@@ -207,7 +209,7 @@ def _rest(settings: EquilibriumSettings, point: comparison.MatrixPoint) -> list[
     entries = [beside[settings.x], beside[settings.y]]
     for entry in entries:
         if entry.unit != QUANTITIES["displacement"].si_unit:
-            what = f"the condition '{entry.name}' is no displacement but in {entry.unit}"
+            what = f"the condition '{entry.name}' is not a displacement but in {entry.unit}"
             raise ConfigError(what, hint="{channel: d_x}, its mean")
     return [[entry.value for entry in entries], [entry.scatter for entry in entries]]
 

@@ -102,7 +102,7 @@ def weighted_fit(
         what = "a value has no standard error, so tests cannot be weighted"
         raise FitError(what, hint="a response without noise gives none")
     if not np.all(np.isfinite(values)):
-        raise FitError("a value is no number, so tests cannot be weighted")
+        raise FitError("a value is not a number, so tests cannot be weighted")
     changes = np.zeros((0, values.size)) if changes is None else changes
     inverse, chi2, weights = _solve(columns, values, errors, changes)
     dof = values.size - columns.shape[1]

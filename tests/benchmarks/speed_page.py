@@ -158,10 +158,14 @@ def command_rows() -> Iterator[str]:
         warm = [*labpipe, "run", "pipelines/pedestal.yaml", "-o", f"{name}/out", "-q"]
         least_costs(ROOT, [warm], 1)
         python = [sys.executable, "-c"]
-        commands = [[*python, "pass"], [*python, FIVE], [*labpipe, "--help"], [*python, cold], warm]
-        empty, libraries, helped, first, again = least_costs(ROOT, commands, 5)
+        bare = [[*python, f"import {name}"] for name in ("sys", "click")]
+        commands = [*bare, [*python, FIVE], [*labpipe, "--help"], [*python, cold], warm]
+        empty, click, libraries, helped, first, again = least_costs(ROOT, commands, 5)
         (worn,) = least_costs(ROOT, [[sys.executable, "-c", wear]], 2)
-    yield f"| `labpipe --help` | {helped.cpu:.2f} s | {helped.cpu / empty.cpu:.1f} times an empty Python |"
+    yield (
+        f"| `labpipe --help` | {helped.cpu:.3f} s | {helped.cpu / empty.cpu:.1f} times an empty Python; "
+        f"importing click alone {click.cpu / empty.cpu:.1f} times |"
+    )
     five = "times importing numpy, scipy, pandas, pyarrow and matplotlib"
     yield (
         f"| `labpipe run` of the pedestal, nothing there yet | {first.cpu:.2f} s | "
@@ -222,6 +226,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=2, help="of the commands on raw files")
     if os.environ.get("OMP_NUM_THREADS") != "1":
         parser.error("set OMP_NUM_THREADS=1")
+    # An editable installation makes an empty Python slower, and every ratio to it smaller.
+    if any("editable" in name for name in sys.modules):
+        parser.error("install labpipe with its tests, not as an editable package")
     options = parser.parse_args()
     PAGE.write_text(page(options.rows, options.repeats), encoding="utf-8")
     print(f"written: {PAGE.relative_to(Path.cwd()) if PAGE.is_relative_to(Path.cwd()) else PAGE}")

@@ -35,7 +35,7 @@ def test_figures_alike_of_a_pdf_share_their_canvas_and_layout(
     monkeypatch: pytest.MonkeyPatch, step: float, n_layout: int
 ) -> None:
     """Four fits, alike or of slightly different heights: laying out and making axes are what a figure costs
-    most, and a count is no matter of what else the machine does.
+    most, and a count is not a matter of what else the machine does.
     """
     layouts, axes = count(), count()
 

@@ -363,7 +363,7 @@ def test_a_report_of_an_earlier_result_goes_when_identify_gives_another(tmp_path
     frf = tmp_path / "frf.frf.parquet"
     ended = labpipe("identify", "-c", PEDESTAL, "-o", tmp_path / "two", frf, frf)
     assert ended.code == 2 and "two of the files are of one test" in ended.err
-    # A misspelt parameter is no parameter without a difference.
+    # A misspelt parameter is not a parameter without a difference.
     ended = labpipe("compare", tmp_path, tmp_path, "-p", "kk")
     assert ended.code == 2 and "--parameter: 'kk' is not in both results; did you mean 'k'?" in ended.err
 
@@ -449,7 +449,7 @@ def test_identify_refuses_responses_of_another_rig_or_recording(tmp_path: Path, 
 
 
 def test_a_calibrated_copy_that_is_gone_leaves_the_rig_of_the_next_to_that(tmp_path: Path, labpipe) -> None:
-    """Of two recordings by two rigs: the other one is held against its own, and still refused by another."""
+    """Of two recordings by two rigs: the other one is compared with its own, and still refused by another."""
     text = Path("configs/hmb-pedestal.yaml").read_text("utf-8")
     table = pd.read_csv("sample_data/hmb/pedestal.csv")
     recordings = []

@@ -80,4 +80,4 @@ def test_a_gap_needs_a_plane_of_displacements(root: Path, tmp_path: Path, labpip
     ended = labpipe(
         "orders", source, "-r", tmp_path / "rig.yaml", "--tacho", "n", "--gap", "1 mm", "-o", tmp_path / "out"
     )
-    assert ended.code == 2 and "no orbit to hold against the gap" in ended.err, ended
+    assert ended.code == 2 and "no orbit to compare with the gap" in ended.err, ended

@@ -19,7 +19,7 @@ from tests.source import MODULES, PACKAGE, tree_of
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
 
-import api  # noqa: E402 (a module of docs, which is no package)
+import api  # noqa: E402 (a module of docs, which is not a package)
 import maths  # noqa: E402
 
 

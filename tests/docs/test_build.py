@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS))
 
-import build  # noqa: E402 (modules of docs, which is no package)
+import build  # noqa: E402 (modules of docs, which is not a package)
 import reference  # noqa: E402
 
 LARGEST_REPORT = 3_000_000

@@ -35,7 +35,7 @@ ADDED = {
 
 
 def load_console():
-    """docs/console.py, which is no module of a package.
+    """docs/console.py, which is not a module of a package.
 
     It makes the scratch folder and runs commands with the plug-in.
     """

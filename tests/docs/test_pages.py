@@ -2,7 +2,7 @@
 valid.
 
 Runs whose report no page shows are made without one, the study of minutes with few repeats; commands marked
-`parse` in the page (a cluster's address, half a minute of work that tests/cli runs) are held against the
+`parse` in the page (a cluster's address, half a minute of work that tests/cli runs) are compared with the
 options of their command only.
 """
 
@@ -44,7 +44,7 @@ SHELL = {
 
 
 def module(name: str) -> ModuleType:
-    """A module of docs, which is no package."""
+    """A module of docs, which is not a package."""
     return importlib.import_module(name)
 
 

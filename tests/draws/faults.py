@@ -379,7 +379,7 @@ FAULTS = [
         anew(spoil=as_it_is),
     ),
     Fault(
-        "ten samples are no numbers", "error", replace(RANDOM, spoil=with_gap), READING, anew(spoil=as_it_is)
+        "ten samples are not numbers", "error", replace(RANDOM, spoil=with_gap), READING, anew(spoil=as_it_is)
     ),
     Fault(
         "response 2 ms late", "delay", replace(RANDOM, spoil=late(0.002)), "the `delay` it names", named_delay

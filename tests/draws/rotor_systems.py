@@ -77,8 +77,8 @@ KINDS = (
 )
 # Viscosity of the oil in the run-up over that in all other tests, of the kind warm.
 WARM = 0.6
-# Speed [Hz] at which a turning rotor is shaken, and the log decrement from which a mode is no oscillation to
-# speak of.
+# Speed [Hz] at which a turning rotor is shaken, and the log decrement from which a mode is not an
+# oscillation to speak of.
 TURNING, DAMPED = 25.0, 10.0
 # What a kind does to the small errors of a truth: group, standard deviation; a common shift.
 OFF = {"shaft": ("elements", 0.05), "probe": ("phase", 0.05)}

@@ -1,4 +1,4 @@
-"""Combined uncertainties of shipped pipelines, held against worlds in which every number is off.
+"""Combined uncertainties of shipped pipelines, compared with worlds in which every number is off.
 
 python -m tests.draws.run [PIPELINE ...] [--draws N] [--seconds S] [--cases N] [--seed S]
 

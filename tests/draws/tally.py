@@ -55,7 +55,7 @@ class Tally:
             truth = self.truth.get(name)
             if truth is None or one.ci95 is None or one.full_error == 0:
                 continue
-            # An interval without a standard error is held against the truth alone.
+            # An interval without a standard error is compared with the truth alone.
             error = np.nan if one.full_error is None else one.full_error
             noise = error if one.systematic is None else np.sqrt(max(error**2 - one.systematic**2, 0.0))
             held = one.ci95[0] <= truth <= one.ci95[1]

@@ -92,8 +92,8 @@ def test_a_sensitivity_scatters_with_its_channels(tmp_path: Path) -> None:
     assert {"unknowns.gap", "unknowns.delay", "unknowns.bandwidth", "sensitivity.peak"} <= {
         row.name for row in rows
     }
-    # Where the highest of several lines lies is no normal number: its interval holds, its scatter is smaller
-    # than its standard uncertainty says.
+    # Where the highest of several lines lies is not a normal number: its interval holds, its scatter is
+    # smaller than its standard uncertainty says.
     (place,) = (row for row in rows if row.name == "sensitivity.peak_frequency")
     assert place.held >= 0.88 and place.ratio < 1.1
     assert not [row for row in rows if row is not place and not row.is_good]

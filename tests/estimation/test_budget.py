@@ -314,7 +314,7 @@ def test_parameters_state_their_parts(rng) -> None:
 def test_the_report_and_rules_use_the_coverage_that_was_asked_for(rng) -> None:
     """99 %: k = 2.58 and the expanded uncertainty in the table are those of the parameter.
 
-    A rule in per cent is held against it.
+    A rule in per cent is compared with it.
     """
     (fit,) = identify(a_response(rng), settings("ml", mass="0.79 kg +- 0.5 %", coverage=0.99))
     table = next(block for block in budget_blocks(fit) if isinstance(block, Table))

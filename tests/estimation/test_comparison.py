@@ -1,4 +1,4 @@
-"""Which models a fit is held against."""
+"""Which models a fit is compared with."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def test_comparison_finds_damping_that_is_not_proportional(three_dof_response) -
 
 @pytest.mark.long
 def test_likelihood_ratio_of_a_true_restriction_is_uniform(fits: list[Fit]) -> None:
-    """Proportional damping is held against free damping coefficients without being asked to."""
+    """Proportional damping is compared with free damping coefficients without being asked to."""
     levels = [next(c for c in fit.candidates if c.name.startswith("this model")).p_value for fit in fits]
     # 60 values of a uniform variable: mean 0.5 +- 0.037, share below 0.1 is 0.1 +- 0.039; three sigma each.
     assert np.mean(levels) == pytest.approx(0.5, abs=0.12)
@@ -180,7 +180,7 @@ def test_without_noise_nothing_is_compared(coupled_response) -> None:
 
 
 def test_a_mass_among_the_given_coefficients_gives_the_resonance(sdof_response) -> None:
-    """sqrt(k / m) / 2 pi and c / 2 sqrt(k m) of the pedestal; of two given numbers f_n is no result."""
+    """sqrt(k / m) / 2 pi and c / 2 sqrt(k m) of the pedestal; of two given numbers f_n is not a result."""
     f_n = np.sqrt(134.5e3 / 0.79) / (2 * np.pi)
     (fit,) = identify(sdof_response(), FitSettings("sdof", fixed=(("m", 0.79),)))
     assert fit.parameter("f_n").value == pytest.approx(f_n, rel=1e-9)

@@ -56,7 +56,7 @@ def test_derivatives_are_those_of_differences() -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_mass_of_a_floor_is_held_among_other_modes(seed: int) -> None:
-    """The residual of modes below and above is no constant: what is left of it is model error."""
+    """The residual of modes below and above is not a constant: what is left of it is model error."""
     h = mode(*MODE) + sum(mode(*other) for other in OTHERS)
     (fit,) = identify(response(h, 0.002, seed), FitSettings("sdof", residuals=True))
     for name, value in truth().items():
@@ -70,7 +70,7 @@ def test_a_driving_point_without_an_oscillator_is_fitted_beside_a_constant() -> 
     small = (8.0, 0.012, 20 * MODE[2])
     h = mode(*small) - 1.6e-9 * (FREQUENCY / 8) ** -2
     (fit,) = identify(response(h, 0.01, 1), FitSettings("sdof"))
-    assert any("is no oscillator" in note for note in fit.notes)
+    assert any("is not an oscillator" in note for note in fit.notes)
     low, high = fit.parameter("m").ci95
     assert low < small[2] < high and fit.parameter("f_n").value == pytest.approx(8.0, rel=2e-3)
     assert "unphysical" not in [finding.code for finding in fit.findings]

@@ -5,10 +5,14 @@ written out.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
+from labpipe.errors import ConfigError, DataError
 from labpipe.estimation.diagnostics import leakage_findings
 from labpipe.estimation.estimators import LS
 from labpipe.estimation.fitting import identify
@@ -17,7 +21,10 @@ from labpipe.estimation.linear_models import sdof
 from labpipe.estimation.measured import Measured, measured_part
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import FitSettings
+from labpipe.project.ready_response import load_described
+from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
+from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout, WindowedSettings
 from labpipe.records.response import Blocks, FrequencyResponse, Port, uncorrelated
 from labpipe.spectra.windows import kernel_of, window_values
 
@@ -26,6 +33,122 @@ W_N, WIDTH = 2 * np.pi * 60.0, 1.2
 STIFFNESS, DAMPING = W_N**2, 2 * np.pi * WIDTH
 PORTS = (Port("x", "x", "x", 0.0),), (Port("f", "f", "x", 0.0),)
 SETTINGS = FitSettings("sdof", mass=1.0)
+
+
+# Blocks of 8 s in an analyser's table, 9.6 lines in the half-power width, and samples per second.
+TABLE_BLOCK, TABLE_RATE = 8, 256
+TABLE = FrfColumns(frequency="1", re="2", im="3", coherence="4")
+
+
+RANDOM: dict[str, Any] = {"excitation": "random", "overlap": 0.5}
+
+
+def table(path: Path, seed: int, number: int = 40, noise: float = 0.05) -> None:
+    """H1 and coherence by scipy.signal of white force and its response, with *noise*: *number* Hann blocks
+    that overlap by half. The response to the whole period of a force of twice the length is that of a rig at
+    work.
+    """
+    rng, n = np.random.default_rng([seed, 5]), TABLE_BLOCK * TABLE_RATE
+    used, whole = (number + 1) * n // 2, (number + 1) * n
+    force = np.fft.rfft(rng.normal(size=whole))
+    # Nothing near half the sampling rate, where a record at rest has no receptance of its own.
+    force[int(0.9 * force.size) :] = 0.0
+    h = receptance(np.fft.rfftfreq(whole, 1 / TABLE_RATE))[:, 0, 0]
+    f, x = (np.fft.irfft(spectrum, whole)[:used] for spectrum in (force, h * force))
+    x += noise * x.std() * rng.normal(size=used)
+    kept = {"fs": TABLE_RATE, "nperseg": n, "noverlap": n // 2}
+    frequency, cross = signal.csd(f, x, **kept)
+    h1 = cross / signal.welch(f, **kept)[1]
+    inside = (frequency > 50) & (frequency < 70)
+    coherence = signal.coherence(f, x, **kept)[1]
+    np.savetxt(path, np.column_stack([frequency, h1.real, h1.imag, coherence])[inside])
+
+
+def of_table(path: Path, **stated: Any) -> FrequencyResponse:
+    layout = FrfLayout(file=path.name, columns=TABLE, form="receptance", **{"window": "hann", **stated})
+    return load_described(ReadyFrf((path,), layout, (("x",),), (("f",),)), layout, "", {})
+
+
+def errors_of_tables(folder: Path, **stated: Any) -> np.ndarray:
+    """Errors of the damping ratio of eight tables, over their standard errors [1]."""
+    off = []
+    for seed in range(8):
+        table(folder / "h.txt", seed)
+        zeta = identify(of_table(folder / "h.txt", **stated), SETTINGS)[0].parameter("zeta")
+        assert zeta.std_error is not None
+        off.append((zeta.value - DAMPING / 2 / W_N) / zeta.std_error)
+    return np.array(off)
+
+
+@pytest.mark.parametrize("averages", [40, 0])
+def test_leakage_of_an_analyser_s_random_blocks_is_in_the_model(tmp_path: Path, averages: int) -> None:
+    """Eight errors of unit variance have a mean within .7 and a mean square of .27 to 2.2 in 95 of 100."""
+    off = errors_of_tables(tmp_path, averages=averages, **RANDOM)
+    assert abs(np.mean(off)) < 0.7 and 0.27 < np.mean(off**2) < 2.2
+
+
+def test_responses_of_one_record_share_what_leaks(tmp_path: Path) -> None:
+    """One response written twice, hardly any noise: the damping is known no better than by one of them."""
+    table(tmp_path / "h.txt", 1, noise=0.002)
+    both = tmp_path / "both.txt"
+    np.savetxt(both, np.loadtxt(tmp_path / "h.txt")[:, [0, 1, 2, 3, 1, 2, 3]])
+    elements = tuple(
+        (f"p{n}/f", ElementColumns(re=f"{3 * n + 2}", im=f"{3 * n + 3}", coherence=f"{3 * n + 4}"))
+        for n in range(2)
+    )
+    stated = {"form": "receptance", "window": "hann", "averages": 40, **RANDOM}
+    layout = FrfLayout(file="both.txt", columns=FrfColumns(frequency="1"), elements=elements, **stated)
+    responses = (
+        of_table(tmp_path / "h.txt", averages=40, **RANDOM),
+        load_described(ReadyFrf((both,), layout, ((),), ((),)), layout, "", {}),
+    )
+    one, two = (
+        identify(response, FitSettings("modal"))[0].parameter("zeta_1").std_error for response in responses
+    )
+    assert one is not None and two == pytest.approx(one, rel=0.1)
+
+
+def test_unsaid_it_makes_the_damping_too_large(tmp_path: Path) -> None:
+    """A Hann window adds some .5 % at ten lines in the half-power width; a standard error is .2 %. The
+    coherence falls at the peak.
+    """
+    assert np.mean(errors_of_tables(tmp_path, averages=40)) > 1.4
+    (leaking,) = of_table(tmp_path / "h.txt").findings
+    assert leaking.code == "leakage" and "coherence falls at the peak at" in leaking.message
+    assert not of_table(tmp_path / "h.txt", excitation="random").findings
+
+
+def test_coherence_of_hits_falls_nowhere(tmp_path: Path) -> None:
+    """Five hits with noise of response and force, and gains that differ by 3 %: none of 20 tables."""
+    frequency = np.arange(50 * TABLE_BLOCK, 70 * TABLE_BLOCK) / TABLE_BLOCK
+    h = receptance(frequency)[:, 0, 0]
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 9])
+        noise = rng.normal(size=(3, 5, h.size, 2)) @ np.array([1, 1j]) / np.sqrt(2)
+        f, x = 1 + 0.03 * noise[0], h * (1 + 0.03 * noise[1]) + 0.02 * np.abs(h).mean() * noise[2]
+        cross, of_f = np.mean(x * f.conj(), axis=0), np.mean(np.abs(f) ** 2, axis=0)
+        coherence = np.abs(cross) ** 2 / of_f / np.mean(np.abs(x) ** 2, axis=0)
+        columns = [frequency, (cross / of_f).real, (cross / of_f).imag, coherence]
+        np.savetxt(tmp_path / "h.txt", np.column_stack(columns))
+        assert not of_table(tmp_path / "h.txt").findings, seed
+
+
+@pytest.mark.parametrize(
+    ("lines", "stated", "fault"),
+    [
+        ((50.0, 50.1, 50.2, 50.35), {}, r"h\.txt: has lines that are not multiples of their distance"),
+        ((50.0, 50.1), {"window": ""}, "leaks through the window of their blocks.* window: hann beside it"),
+        ((50.0, 50.1), {"windowed": WindowedSettings(exponential=1.0)}, "and no 'windowed'"),
+        ((50.0, 50.1), {"excitation": ""}, "'overlap' is that of blocks of random data.*excitation: random"),
+        ((50.0, 50.1), {"overlap": 1.0}, "at least 0 and below 100 %"),
+    ],
+)
+def test_blocks_that_cannot_be_meant(
+    tmp_path: Path, lines: tuple[float, ...], stated: dict[str, Any], fault: str
+) -> None:
+    (tmp_path / "h.txt").write_text("".join(f"{line} 1 0 0.9\n" for line in lines))
+    with pytest.raises((ConfigError, DataError), match=fault):
+        of_table(tmp_path / "h.txt", **{**RANDOM, **stated})
 
 
 def receptance(frequency: np.ndarray) -> np.ndarray:

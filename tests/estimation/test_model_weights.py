@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.errors import FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.weights import weighted_by_model
+from labpipe.estimation.weights import weight_uncertainty, weighted_by_model
 from labpipe.records.recording import Channel, Recording
+from labpipe.records.response import BlockCovariance
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
@@ -103,3 +105,39 @@ def test_a_noisy_force_moves_no_stiffness(recordings: int, periods: int, ratio: 
         pulls.append((k.value - TRUTH["k"]) / k.std_error)
     assert abs(np.mean(pulls)) < 4 / np.sqrt(60)
     assert np.sum(np.abs(pulls) < 1.97) >= 52
+
+
+def test_responses_whose_noise_is_estimated_alone_cost_one_degree_of_freedom() -> None:
+    """Of nu degrees of freedom E[1 / s^2] = nu / (nu - 1) of a variance, and nu / (nu - p) of the inverse of
+    a p x p covariance (inverse Wishart); the estimates have nu^2 / ((nu - p)^2 - 1) of the stated covariance.
+    """
+    matrix = np.ones((50, 6, 1), complex)
+    known = {
+        "omega": np.arange(1.0, 51.0), "matrix": matrix, "noise_dof": 5.0, "noise_lines": 1.0, "outputs": (),
+        "inputs": (),
+    }  # fmt: skip
+    alone = BlockCovariance.uncorrelated(np.ones(matrix.shape))
+    by_three = BlockCovariance(np.arange(6).reshape(2, 3), np.tile(np.eye(3) + 0.5, (50, 2, 1, 1)))
+    for covariance, p in ((alone, 1), (alone.whole(), 1), (by_three, 3), (by_three.whole(), 3)):
+        found = weight_uncertainty(Measured(**known, covariance=covariance), 300)
+        assert found.excess == pytest.approx(5 / (5 - p))
+        assert found.inflation == pytest.approx(25 / ((5 - p) ** 2 - 1))
+    with pytest.raises(FitError, match=r"covariance of 6 response\(s\) was estimated from 5 degrees"):
+        weight_uncertainty(Measured(**known, covariance=np.tile(np.eye(6) + 0.5, (50, 1, 1))), 300)
+
+
+def test_their_chi_square_scatters_as_said() -> None:
+    """Of 300 lines and four responses, by variances of four degrees of freedom each: p-values of 400 draws
+    lie below .05 in 5 %, of a binomial deviation of 1.1 %.
+    """
+    rng = np.random.default_rng(5)
+    nu, shape = 4.0, (400, 300, 4)
+    estimates = rng.chisquare(2 * nu, shape) / (2 * nu)
+    squares = np.sum(rng.chisquare(2, shape) / 2 / estimates, axis=(1, 2)) * 2
+    measured = Measured(
+        omega=np.arange(1.0, 301.0), matrix=np.ones((300, 4, 1), complex), noise_dof=nu, noise_lines=1.0,
+        outputs=(), inputs=(), covariance=BlockCovariance.uncorrelated(np.ones((300, 4, 1))),
+    )  # fmt: skip
+    found = weight_uncertainty(measured, 2400)
+    low = [found.p_value(square / 2400 / found.excess, 2400) < 0.05 for square in squares]
+    assert 0.02 < np.mean(low) < 0.085

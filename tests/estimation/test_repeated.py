@@ -242,7 +242,7 @@ def test_repeats_are_written_and_read(tmp_path: Path) -> None:
 
 
 def test_an_interval_reaches_as_far_as_numbers_do() -> None:
-    """A logarithm known to 2.4 +- 800: exp(710) is no number any more, and nothing is said of it."""
+    """A logarithm known to 2.4 +- 800: exp(710) is not a number any more, and nothing is said of it."""
     mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0))
     damping = Parameter("c", 11.0, "N.s/m", std_error=0.1, ci95=(10.8, 11.2))
     of = RepeatValues(np.log([10.0, 12.0]), np.full(2, 1e-4), log=True)

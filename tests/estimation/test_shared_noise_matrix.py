@@ -1,4 +1,4 @@
-"""Noise that lines share through gains and a Toeplitz correlation, held against the matrix written out and
+"""Noise that lines share through gains and a Toeplitz correlation, compared with the matrix written out and
 against drawn noise.
 """
 

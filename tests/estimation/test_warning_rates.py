@@ -1,7 +1,7 @@
 """How often each warning of FRF and fit comes on sound runs and on runs with its fault; the table of the
 statistics page is held to it.
 
-A warning on half of all sound runs is noise; one that misses most faults is no guard.
+A warning on half of all sound runs is noise; one that misses most faults is not a guard.
 """
 
 from __future__ import annotations

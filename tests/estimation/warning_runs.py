@@ -239,8 +239,8 @@ def reciprocal(seed: int, skew: float) -> frozenset[str]:
 
 
 def cross_coupled(seed: int, skew: float) -> frozenset[str]:
-    """A rotor with cross-coupled stiffness of +-skew [N/m], fitted without cross terms and held against other
-    models.
+    """A rotor with cross-coupled stiffness of +-skew [N/m], fitted without cross terms and compared with
+    other models.
     """
     f = np.arange(65.0, 81.0)
     w = 2 * np.pi * f

@@ -100,7 +100,7 @@ def whole(read: Callable[[Path], Any]) -> Read:
         with np.printoptions(threshold=1 << 30, floatmode="unique"):
             record = read(path)
             fields = dict(getattr(record, "__dict__", {}))
-            # The digest itself is no number.
+            # The digest itself is not a number.
             fields.pop("digest", None)
             return {"record": f"{record!r} {fields!r}"}, ()
 

@@ -121,8 +121,8 @@ def scaled(column: int, factor: float) -> str:
 @pytest.mark.parametrize(
     ("column", "factor", "said"),
     [
-        (2, 1e160, "is no measured number"),
-        (1, 1e300, "is no measured number"),
+        (2, 1e160, "is not a measured number"),
+        (1, 1e300, "is not a measured number"),
         (2, 1e-160, "which nothing measures"),
         (0, 1e-300, "check the unit of the time"),
         (0, 1e-9, "a period of 1 s is longer than the recording"),
@@ -361,7 +361,7 @@ def test_a_message_keeps_its_place_and_its_cure() -> None:
         and line.startswith("error: a.yaml:1:1: x")
         and line.endswith("; write it as 1 N")
     )
-    assert message_line(f"a: '{'y' * 200}' is no number") == f"a: '{'y' * 77}...' is no number"
+    assert message_line(f"a: '{'y' * 200}' is not a number") == f"a: '{'y' * 77}...' is not a number"
     assert message_line("µm ± 振動 \x1b") == "µm ± 振動 \\x1b"
 
 

@@ -294,7 +294,7 @@ def test_what_is_not_of_the_result_is_left_out(lab: Path, labpipe: Command) -> N
     ended = labpipe("archive", lab / "out", "-o", lab / "a.zip")
     assert (
         ended.code == 0
-        and f"left out: {lab}/out/before.frf.parquet, which is not of this result" in ended.out
+        and f"left out: {lab}/out/before.frf.parquet, which does not belong to this result" in ended.out
     )
     assert not [name for name in members(lab / "a.zip") if "before" in name or "notes" in name]
     assert labpipe("verify", lab / "a.zip").code == 0
@@ -408,8 +408,8 @@ def unsized(crate: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (lambda files: zipped(files)[:-40], "a.zip: is no ZIP file, or a damaged one"),
-        (lambda files: b"", "a.zip: is no ZIP file, or a damaged one"),
+        (lambda files: zipped(files)[:-40], "a.zip: is not a ZIP file, or a damaged one"),
+        (lambda files: b"", "a.zip: is not a ZIP file, or a damaged one"),
         (
             lambda files: zipped({**files, "../../out.txt": b"slipped"}),
             "'../../out.txt': has a name that leads out of the archive",
@@ -423,20 +423,23 @@ def unsized(crate: dict[str, Any]) -> None:
             "'C:/x': has a name that leads out of the archive",
         ),
         (lambda files: zipped({**files, "a\\b": b"slipped"}), "has a name that leads out of the archive"),
-        (linked, "'link': is no regular file"),
+        (linked, "'link': is not a regular file"),
         (lambda files: zipped({**files, "experiment": b"?"}), "'experiment': is a file and a folder"),
         (lambda files: zipped(without(METADATA)(files)), f"a.zip: holds no {METADATA}"),
         (lambda files: zipped({}), f"a.zip: holds no {METADATA}"),
-        (lambda files: zipped({**files, METADATA: b"{"}), f"{METADATA}: is no RO-Crate of labpipe"),
-        (lambda files: zipped({**files, METADATA: b"[" * 100_000}), f"{METADATA}: is no RO-Crate of labpipe"),
-        (described(lambda crate: crate["@graph"].pop(0)), f"{METADATA}: is no RO-Crate of labpipe"),
+        (lambda files: zipped({**files, METADATA: b"{"}), f"{METADATA}: is not an RO-Crate of labpipe"),
+        (
+            lambda files: zipped({**files, METADATA: b"[" * 100_000}),
+            f"{METADATA}: is not an RO-Crate of labpipe",
+        ),
+        (described(lambda crate: crate["@graph"].pop(0)), f"{METADATA}: is not an RO-Crate of labpipe"),
         (
             described(lambda crate: crate["@graph"][1].pop("mainEntity")),
-            f"{METADATA}: is no RO-Crate of labpipe",
+            f"{METADATA}: is not an RO-Crate of labpipe",
         ),
         (
             described(lambda crate: crate["@graph"][1].update(mainEntity={"@id": "x.yaml"})),
-            "names the pipeline 'x.yaml', which is no file",
+            "names the pipeline 'x.yaml', which is not a file",
         ),
         (described(unsized), "without its size and digest"),
     ],
@@ -541,10 +544,10 @@ def test_what_cannot_be_archived_is_refused(lab: Path, labpipe: Command, change:
         (("out", "-o", "a.tar"), "a.tar: no archive has the ending '.tar'; known: .zip, .eln"),
         (
             ("out", "-o", "a.zip", "--date", "yesterday"),
-            "--date: 'yesterday' is no day; write it as 2026-11-03",
+            "--date: 'yesterday' is not a day; write it as 2026-11-03",
         ),
-        (("s3://bench/out", "-o", "a.zip"), "'s3://bench/out' is no path of this machine"),
-        (("out", "-o", "s3://bench/a.zip"), "'s3://bench/a.zip' is no path of this machine"),
+        (("s3://bench/out", "-o", "a.zip"), "'s3://bench/out' is not a path of this machine"),
+        (("out", "-o", "s3://bench/a.zip"), "'s3://bench/a.zip' is not a path of this machine"),
         (("rig.yaml", "-o", "a.zip"), "rig.yaml: holds no identification.json"),
     ],
 )

@@ -56,7 +56,7 @@ def test_a_sensitivity_by_its_certificate(tmp_path: Path) -> None:
     ("reference", "what"),
     [
         ("c.xml, quantity: s80, date: 2027-02-01", "has expired: it was valid until 2027-01-31"),
-        ("c.xml, quantity: s80, date: 3.11.2026", "'3.11.2026' is no day"),
+        ("c.xml, quantity: s80, date: 3.11.2026", "'3.11.2026' is not a day"),
         ("c.xml, quantity: s80, date: 2026-11-03, serial: SN 9", "is not of serial number 'SN 9'"),
         ("c.xml, quantity: s80, date: 2026-11-03, number: D-9", "is the certificate '2026-0417', not 'D-9'"),
         ("c.xml, quantity: vib_frequency, date: 2026-11-03", "states no uncertainty of 'vib_frequency'"),

@@ -1,4 +1,4 @@
-"""A folder of results: listed, filtered, held against each other, exported; the index follows the files."""
+"""A folder of results: listed, filtered, compared with each other, exported; the index follows the files."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_results_are_chosen_by_the_conditions_of_any_test(campaign: Path) -> Non
         ({"where": ("preloat = 400 N",)}, "did you mean 'preload'?"),
         ({"where": ("preload = 400 mm",)}, "is in N, not in m"),
         ({"where": ("direction = 4 N",)}, "is in words, not in N"),
-        ({"where": ("preload >= up",)}, "'up' is no amount"),
+        ({"where": ("preload >= up",)}, "'up' is not an amount"),
         ({"since": "3.11.2026"}, "write it as 2026-11-03"),
         ({"fit": "axiel"}, "did you mean 'axial'?"),
         ({"test": "x*"}, "no result has the test 'x*'"),

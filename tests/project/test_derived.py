@@ -123,7 +123,7 @@ def test_members_are_references_unless_the_file_says_otherwise(tmp_path: Path) -
             "8:24",
             "'m_z' is neither a channel nor one of the constants; did you mean 'm_s'?",
         ),
-        ("e: {quantity: force, derived: 'f-m_s*a'}", "8:24", "between blanks"),
+        ("e: {quantity: force, derived: 'f-m_s*a'}", "8:24", "blanks around"),
         (
             "e: {quantity: force, derived: 'f - a'}",
             "8:24",

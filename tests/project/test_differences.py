@@ -1,4 +1,4 @@
-"""Two results held against each other, and a value over many: p-values by hand, Holm's correction, order of
+"""Two results compared with each other, and a value over many: p-values by hand, Holm's correction, order of
 the conditions.
 """
 

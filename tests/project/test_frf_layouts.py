@@ -100,7 +100,7 @@ def test_the_window_behind_a_table_is_taken_out(lab: Path, labpipe) -> None:
     [
         (
             TABLE.replace("unit: g/N", "unit: g/m"),
-            "p.yaml:2:77: frfs.unit: 'g/m' is no unit of an FRF; m/N, m/(N.s), m/(N.s^2) or multiples are",
+            "p.yaml:2:77: frfs.unit: 'g/m' is not a unit of an FRF; m/N, m/(N.s), m/(N.s^2) or multiples are",
         ),
         (
             TABLE.replace("phase_deg", "phase_dg"),

@@ -248,7 +248,7 @@ def test_peaks_are_those_of_scipy(n: int) -> None:
 
 
 def test_universal_records_of_open_form_take_it_from_their_title(tmp_path: Path, labpipe) -> None:
-    """What their label says is no unit of it, so the unit is asked for; the numbers are those of `K`."""
+    """What their label says is not a unit of it, so the unit is asked for; the numbers are those of `K`."""
     frequency = np.arange(1.0, 80.0)
     head = "    -1\n    58\nFrequency Response H1(Desl,Force)\n" + 4 * "NONE\n"
     head += "    4         0    0         0 NONE               1   0 NONE               1   0\n"

@@ -1,4 +1,4 @@
-"""Warnings of a fit held against rules: one that must be there, one that must not, none at all."""
+"""Warnings of a fit compared with rules: one that must be there, one that must not, none at all."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def test_a_bad_recording_beside_results_that_are_elsewhere_is_not_lost(lab: Path
         ("s3://nobody/a.csv", "s3://nobody/a.csv: there is no such bucket"),
         ("s3://rigs/none/*.csv", "tests.1.each: no object matches 's3://rigs/none/*.csv'"),
         ("s3://rigs/runs/none.csv", "tests.1.each: no such object 's3://rigs/runs/none.csv'"),
-        ("s3://", "tests.1.each: 's3://' is no URL of an object"),
+        ("s3://", "tests.1.each: 's3://' is not a URL of an object"),
         ("ftp://rigs/a.csv", "tests.1.each: 'ftp://rigs/a.csv' is a URL that cannot be read"),
     ],
 )
@@ -226,7 +226,7 @@ def test_places_that_cannot_be_read_are_named(
         "run", lab / "bench.yaml", "-o", "s3://nobody/out"
     )
     assert "s3://rigs/out: there are no results" in said("list", "s3://rigs/out")
-    assert "is no path of this machine" in said(
+    assert "is not a path of this machine" in said(
         "ingest", "s3://rigs/runs/0N-0.csv", "-r", lab / "rig.yaml", "-o", lab / "out"
     )
     assert "set TMPDIR" in said(

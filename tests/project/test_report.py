@@ -19,7 +19,7 @@ def test_the_ending_says_the_format_of_a_file_that_is_there_or_not(tmp_path: Pat
         and format_of(tmp_path / "new.MD") == "md"
         and format_of(tmp_path / "new.htm") == "html"
     )
-    # What is no file, such as a pipe, has no ending that says anything.
+    # What is not a file, such as a pipe, has no ending that says anything.
     assert format_of(tmp_path / "folder.txt") == "html"
     for name in ("there.txt", "new.txt", "new"):
         with pytest.raises(ConfigError, match="no report format"):

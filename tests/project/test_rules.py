@@ -90,7 +90,7 @@ def test_no_section_has_no_rules() -> None:
             "direct.warnings: not model-mismach",
             "unknown warning 'model-mismach'; did you mean 'model-mismatch'?",
         ),
-        ("warnings: [also collinear, '>= 1']", "accept.warnings: 'warnings' is held against a word"),
+        ("warnings: [also collinear, '>= 1']", "accept.warnings: 'warnings' is compared with a word"),
         ("direct.k.significant: maybe", "accept.direct.k.significant: 'maybe' is neither true nor false"),
         (
             "direct.k: 45 kN/m +- 1 % (k=2)",

@@ -271,7 +271,7 @@ def test_units_of_a_rule_do_not_matter(lab: Path, text: str) -> None:
 
 
 def test_a_rule_on_a_test_that_failed_does_not_hold(lab: Path) -> None:
-    """In a result that is not whole, what a rule names may be missing: it fails, it is no fault of the
+    """In a result that is not whole, what a rule names may be missing: it fails, it is not a fault of the
     rule.
     """
     (lab / "broken.csv").write_text("frequency_hz,x/f:re,x/f:im\n1,2,3\n")

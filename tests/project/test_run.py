@@ -227,7 +227,7 @@ def test_an_error_of_the_operating_system_is_the_outcome_of_its_test(
 
 
 def test_a_fault_of_ours_is_no_outcome(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is no fault of the input keeps its traceback, and says which test it comes from."""
+    """What is not a fault of the input keeps its traceback, and says which test it comes from."""
 
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError

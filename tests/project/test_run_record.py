@@ -115,7 +115,7 @@ def test_a_changed_line_shows(record: Path) -> None:
 @pytest.mark.parametrize("line", [b"{}\n", b"[1]\n", b"\xff\n", b'{"number": 5}\n'])
 def test_a_line_that_is_no_run_is_refused(record: Path, line: bytes) -> None:
     record.write_bytes(record.read_bytes() + line)
-    with pytest.raises(DataError, match="line 5 is no run"):
+    with pytest.raises(DataError, match="line 5 is not a run"):
         faults_of_record(record)
 
 

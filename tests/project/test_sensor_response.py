@@ -34,7 +34,7 @@ def test_the_table_stands_in_the_channel(tmp_path: Path) -> None:
         ("f,g,p\n0,1,0\n1,1,0\n", "has other columns"),
         ("frequency_hz,gain,phase_deg\n0,1,0\n", "two or more increasing frequencies"),
         ("frequency_hz,gain,phase_deg\n5,1,0\n5,1,0\n", "two or more increasing frequencies"),
-        ("frequency_hz,gain,phase_deg\n0,one,0\n", "is no frequency, gain and phase"),
+        ("frequency_hz,gain,phase_deg\n0,one,0\n", "is not a frequency, gain and phase"),
         ("frequency_hz,gain,phase_deg\n0,0,0\n1,1,0\n", "gain 0, phase 0 deg cannot be"),
     ],
 )

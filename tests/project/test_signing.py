@@ -177,7 +177,7 @@ def test_a_report_behind_the_last_signature(people: Authority, pdf: Path) -> Non
 def test_what_carries_no_signature_is_refused(tmp_path: Path, content: bytes, people: Authority) -> None:
     for name in ("a.signed.pdf", "a.zip.measured.p7s"):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(DataError, match=r"cannot be read|no readable signature"):
+        with pytest.raises(DataError, match=r"cannot be read|not a readable signature"):
             list(signatures(tmp_path / name, Trust()))
     (tmp_path / "b.pdf").write_bytes(content)
     with pytest.raises(DataError):
@@ -195,7 +195,7 @@ def test_keys_and_certificates_that_cannot_be_used(people: Authority, archive: P
         sign(tmp_path / "none.zip", Key(file=ann), "measured")
     sign(archive, Key(file=ann, secret=SECRET), "measured")
     for trust in (Trust((ann,)), Trust((people.pem,), (ann,))):
-        with pytest.raises(ConfigError, match=r"is no certificate|is no list"):
+        with pytest.raises(ConfigError, match=r"is not a certificate|is not a list"):
             listed(archive, trust)
     assert [file.name for file in tmp_path.glob("*.p7s")] == ["evidence[1].zip.measured.p7s"]
 

@@ -176,11 +176,11 @@ def test_channels_of_one_run_in_several_files(folder: Path) -> None:
         ),
         (
             "recordings: {each: 'runs/?.csv', pattern: '{g}'}\n",
-            "recordings.pattern: 'g' is no channel of the rig; known: f, x",
+            "recordings.pattern: 'g' is not a channel of the rig; known: f, x",
         ),
         (
             "recordings: {each: 'runs/?.csv', pattern: '{reference}'}\n",
-            "recordings.pattern: 'reference' is no channel of the rig",
+            "recordings.pattern: 'reference' is not a channel of the rig",
         ),
         (
             "recordings: {file: runs/a.csv, join: runs/b.csv}\n",

@@ -288,8 +288,8 @@ def test_the_first_letter_of_a_coefficient_says_its_unit() -> None:
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("{q_1_2: 3 N/m}", "'q_1_2' is no coefficient"),
-        ("{kk: 3 N/m}", "'kk' is no coefficient"),
+        ("{q_1_2: 3 N/m}", "'q_1_2' is not a coefficient"),
+        ("{kk: 3 N/m}", "'kk' is not a coefficient"),
         ("{k_1_2: 3 kg}", "'kg' has the wrong dimension, N/m is needed"),
         ("[k_1_2]", "'(a list)' is not a mapping of coefficients"),
     ],

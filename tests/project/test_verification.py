@@ -1,4 +1,4 @@
-"""Two folders of results, held against each other byte by byte."""
+"""Two folders of results, compared with each other byte by byte."""
 
 from __future__ import annotations
 

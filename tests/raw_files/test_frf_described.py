@@ -345,12 +345,12 @@ def test_faults_have_their_place(
         ({"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}}, "form or unit is needed"),
         (
             {"file": "a", "columns": {"frequency": "1", "re": "2", "im": "3"}, "unit": "kg"},
-            "'kg' is no unit of an FRF",
+            "'kg' is not a unit of an FRF",
         ),
         ({"file": "a", "columns": {"frequency": "1"}, "form": "mobility"}, "name no element of H"),
         (
             {"file": "a", "columns": {"frequency": "1", "re": "2"}, "form": "mobility"},
-            "re alone is no complex number",
+            "re alone is not a complex number",
         ),
         (
             {"file": "a", "columns": {"re": "2", "im": "3"}, "form": "mobility"},

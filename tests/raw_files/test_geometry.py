@@ -47,8 +47,8 @@ def test_a_table_of_points(table) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("point,x [mm],y [mm]\n1,0,zero\n", r"points.csv:2: the coordinate 'zero' is no number"),
-        ("point,x [mm],y [mm]\n1,0\n", r"points.csv:2: the coordinate '' is no number"),
+        ("point,x [mm],y [mm]\n1,0,zero\n", r"points.csv:2: the coordinate 'zero' is not a number"),
+        ("point,x [mm],y [mm]\n1,0\n", r"points.csv:2: the coordinate '' is not a number"),
         ("point,x [mn],y [mm]\n1,0,0\n", r"points.csv:2: unknown unit 'mn'"),
         ("point,x [mm],q [mm]\n1,0,0\n", r"points.csv:1: column 'q \[mm\]' is unknown"),
         ("point,x [mm]\n1,0\n", r"points.csv:1: column 'y' is missing"),
@@ -143,7 +143,7 @@ def fit() -> Fit:
 
 
 def test_shapes_are_read_by_another_program(fit: Fit, tmp_path: Path) -> None:
-    """Names that are no numbers ("left") make the nodes count from 1: point n of the beam is node n + 1."""
+    """Names that are not numbers ("left") make the nodes count from 1: point n of the beam is node n + 1."""
     assert fit.detail(Modes) is not None
     write_shapes_uff(tmp_path / "shapes.uff", [fit])
     file = pyuff.UFF(str(tmp_path / "shapes.uff"))

@@ -137,7 +137,7 @@ def test_packed_numbers_of_hdf5_are_read_as_what_they_stand_for(tmp_path: Path) 
     with h5py.File(tmp_path / "r.h5", "a") as file:
         file["x"].attrs["scale_factor"] = "0.5"
     with pytest.raises(
-        DataError, match=r"r\.h5: is not a readable HDF5 file \(scale_factor of /x is no number"
+        DataError, match=r"r\.h5: is not a readable HDF5 file \(scale_factor of /x is not a number"
     ):
         open_table(tmp_path / "r.h5")
 
@@ -285,7 +285,7 @@ def test_damaged_bytes_end_in_one_message_or_in_numbers(tmp_path: Path, rng, com
     ("place", "value", "fragment"),
     [
         (127, ord("X"), "damaged or cut off"),
-        (128, 9, "is no variable"),
+        (128, 9, "is not a variable"),
         (132, 0xFF, "damaged or cut off"),
         (136, 5, "has no flags"),
         (144, 99, "has no flags"),

@@ -134,7 +134,7 @@ def test_numpy_files(tmp_path: Path) -> None:
 
 
 def test_two_arrays_of_one_column_and_a_rate_that_is_none_are_refused(tmp_path: Path) -> None:
-    """Column 1 of a matrix x is x_1, as another array is called; a number x_1 is no channel."""
+    """Column 1 of a matrix x is x_1, as another array is called; a number x_1 is not a channel."""
     both = {"x": np.arange(12.0).reshape(6, 2), "x_1": np.ones(6), "fs": 512.0}
     np.savez(tmp_path / "r.npz", **both)
     savemat(tmp_path / "r.mat", both)

@@ -61,7 +61,7 @@ def test_findings_name_channel_and_first_sample() -> None:
         and "first is sample 10" in clipped.message
     )
     assert gap.code == "gap" and gap.message == (
-        "channel ch1: 2 of 50 samples are no numbers, the first is sample 20"
+        "channel ch1: 2 of 50 samples are not numbers, the first is sample 20"
     )
     assert constant.message == "channel ch2 does not vary at all"
 

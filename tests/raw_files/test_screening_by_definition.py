@@ -54,7 +54,7 @@ def findings_by_definition(
         finite = np.isfinite(x)
         missing = np.flatnonzero(~finite)
         if missing.size:
-            what = f"{missing.size} of {x.size} samples are no numbers, the first is sample {missing[0]}"
+            what = f"{missing.size} of {x.size} samples are not numbers, the first is sample {missing[0]}"
             found.append(Finding("gap", f"channel {name}: {what}"))
         if not finite.any():
             continue

@@ -161,7 +161,7 @@ def test_an_amount_of_any_usual_dimension(text: str, amount: tuple[float, str]) 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("up", "is no amount"),
+        ("up", "is not an amount"),
         ("3 m^7", "has an unusual dimension"),
         ("3 foo", "unknown unit 'foo'"),
         ("1e999 N", "finite"),

@@ -74,7 +74,7 @@ def test_a_heat_map_has_texts_and_values(heat_map: Chart) -> None:
     (panel,) = entry_of(heat_map)["panels"]
     (cells,) = panel["series"]
     assert cells["texts"] == [["1", "half"], ["-half", "1"]] and cells["values"] == [[1, 0.5], [-0.5, 1]]
-    # A scale beside it is no series that could be hidden.
+    # A scale beside it is not a series that could be hidden.
     assert (cells["name"], cells["scale"]) == ("", "correlation") and panel["x"]["ticks"] == [
         [0, "k"],
         [1, "c"],

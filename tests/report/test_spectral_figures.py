@@ -1,6 +1,6 @@
 """Directional responses, distortion and partial coherence in the report.
 
-Figures held against closed forms of one rotor.
+Figures compared with closed forms of one rotor.
 """
 
 from __future__ import annotations

@@ -258,7 +258,7 @@ def test_the_first_page_says_each_number_as_it_is_written_by_hand() -> None:
 
 
 def test_a_word_belongs_to_a_name_and_its_unit() -> None:
-    """A force per current is no stiffness, a damping ratio over the amplitude no damping ratio."""
+    """A force per current is not a stiffness, a damping ratio over the amplitude no damping ratio."""
     names = (("k_i", "N/A"), ("k_1_2", "N/m"), ("zeta_slope_1", "1/m"), ("zeta_rest_1", "1"))
     fit = replace(FIT, parameters=tuple(replace(K, name=name, unit=unit) for name, unit in names))
     (table,) = (b for b in result_blocks(replace(RESULT, fits=(fit,))) if isinstance(b, Table))

@@ -108,7 +108,7 @@ def test_a_dropped_line_is_named() -> None:
 def test_nothing_is_taken_out_where_the_tacho_stands_still() -> None:
     """A baseline beside tests of a turning shaft, under the same settings.
 
-    Noise on the tacho is no speed either.
+    Noise on the tacho is not a speed either.
     """
     still = turning(0.0)
     plain, found = spectra(still, None, 2), spectra(still, TACHO, 2)

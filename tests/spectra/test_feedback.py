@@ -82,7 +82,7 @@ def feedback(recordings: list[Recording], settings: FrfSettings) -> list[str]:
 def test_a_force_from_outside_is_no_feedback(band: tuple[float, float], slope: float, zeta: float) -> None:
     """White, band-limited and coloured, damping 50 %, 5 % and 0.5 %.
 
-    What the anti-alias filter does before the force is no loop.
+    What the anti-alias filter does before the force is not a loop.
     """
     for seed, noise in ((1, 0.0), (2, 0.01), (3, 0.3)):
         run = open_loop(seed, band, zeta, slope, noise)
@@ -295,5 +295,5 @@ def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(
     inside = (np.arange(40) >= 10) & (np.arange(40) < 30)
     coarse = np.where(inside, 1.0, 0.01)[:, None]
     assert edges_of(coarse, np.where(inside, 1.0, beyond)) == edges
-    # A slope that falls by less than to a tenth within a quarter of the frequency is no cliff.
+    # A slope that falls by less than to a tenth within a quarter of the frequency is not a cliff.
     assert edges_of((np.maximum(np.arange(40), 1) / 40.0)[:, None] ** 2, np.full(40, 0.2)) == (0, 40)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.impact import exponential_window, find_hits, force_window, is_double, overloaded
+from labpipe.spectra.impact import find_hits, is_double, overloaded
 from labpipe.spectra.settings import ImpactSettings
+from labpipe.spectra.windows import exponential_window, force_window
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,10 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.damping import undamped, without_added_damping
-from labpipe.spectra.impact import exponential_window, find_hits, force_window, is_double, overloaded
+from labpipe.spectra.impact import find_hits, is_double, overloaded
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
+from labpipe.spectra.windows import exponential_window, force_window
 
 RATE, BLOCK = 2048.0, 1.0
 N = 2048

@@ -9,8 +9,7 @@ import pytest
 
 from labpipe.spectra.covariance import pooled_residual
 from labpipe.spectra.damping import correlation_matrix, covariance_without_damping, without_added_damping
-from labpipe.spectra.impact import exponential_window
-from labpipe.spectra.windows import exponential_correlation
+from labpipe.spectra.windows import exponential_correlation, exponential_window
 
 
 @pytest.mark.parametrize(("length", "constant"), [(4096, 300.0), (4096, 600.0), (2000, 150.0)])

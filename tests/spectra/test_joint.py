@@ -197,7 +197,7 @@ def test_periods_in_a_loop_need_no_other_average() -> None:
 def test_a_mass_in_a_loop_gives_its_stiffness(names: tuple[str, ...], settings: FrfSettings) -> None:
     """k = -200 kN/m and c = 100 N.s/m within 3 standard errors; H1 is many away.
 
-    Negative stiffness is no fault where a loop holds it.
+    Negative stiffness is not a fault where a loop holds it.
     """
     response = measure(runs(names), settings)
     (fit,) = identify(response, FitSettings("sdof", mass=4.0))
@@ -265,7 +265,7 @@ def test_what_is_no_reference_is_said() -> None:
     (run,) = runs(("random",))
     (two,) = runs(("random",), "xy")
     noise = np.random.default_rng(3).standard_normal(run.n_sample)
-    with pytest.raises(ConfigError, match="'r_z' is no channel"):
+    with pytest.raises(ConfigError, match="'r_z' is not a channel"):
         measure([run], replace(RANDOM, reference=("r_z",)))
     with pytest.raises(ConfigError, match="'f_x' is a force of the FRF; the reference is injected"):
         measure([run], replace(RANDOM, reference=("f_x",)))

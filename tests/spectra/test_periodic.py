@@ -80,7 +80,7 @@ def test_smoothing_gives_the_noise_more_degrees_of_freedom(rng: np.random.Genera
 
 def test_a_disturbed_line_keeps_its_own_noise_and_spares_its_neighbours(rng: np.random.Generator) -> None:
     samples = rng.normal(size=(5 * N, 1))
-    # A shaft-speed line whose phase differs from period to period: it is no broadband noise.
+    # A shaft-speed line whose phase differs from period to period: it is not a broadband noise.
     for p in range(5):
         samples[p * N : (p + 1) * N, 0] += 50 * np.cos(2 * np.pi * 12 * np.arange(N) / N + 2.4 * p)
     spectrum = spectrum_of(samples)

@@ -1,5 +1,5 @@
-"""Realisations of the phases: grouped, averaged, and their distortion held against the scatter of many single
-ones.
+"""Realisations of the phases: grouped, averaged, and their distortion compared with the scatter of many
+single ones.
 """
 
 from __future__ import annotations

@@ -157,12 +157,12 @@ def sweep(length: float, low: float, high: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("force", "message"),
     [
-        (np.random.default_rng(7).normal(size=5000), "'r': the force is no sine"),
+        (np.random.default_rng(7).normal(size=5000), "'r': the force is not a sine"),
         (
             sweep(20.0, 20.0, 60.0),
-            "'r': (the frequency of the force runs on: a sweep|the force stays at no frequency)",
+            "'r': (the frequency of the force keeps changing: a sweep|the force stays at no frequency)",
         ),
-        (sweep(200.0, 20.0, 60.0), "'r': the frequency of the force runs on: a sweep"),
+        (sweep(200.0, 20.0, 60.0), "'r': the frequency of the force keeps changing: a sweep"),
         (np.sin(np.arange(300) * 0.1), "'r': the force has 4 periods, too few"),
     ],
 )

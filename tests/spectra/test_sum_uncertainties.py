@@ -1,4 +1,4 @@
-"""Uncertainties of sums of channels in an FRF, held against FRFs of recordings whose sums were made with the
+"""Uncertainties of sums of channels in an FRF, compared with FRFs of recordings whose sums were made with the
 number off by a little.
 """
 

@@ -1,4 +1,4 @@
-"""Studies held against rules: which noise levels a rule is for, and which of them is shown."""
+"""Studies compared with rules: which noise levels a rule is for, and which of them is shown."""
 
 from __future__ import annotations
 

@@ -335,5 +335,5 @@ def test_a_load_that_is_no_force_has_no_slope_of_its_path() -> None:
     path = EquilibriumSettings(load="load", x="x", y="y")
     settings = MatrixSettings(fit="axial", over=("load",), path=path, name="tm")
     tests = [({"k": (1e6, 1e3)}, {"load": f"{load} kg", "x": "1 um", "y": "2 um"}) for load in (1, 2)]
-    with pytest.raises(ConfigError, match="'load' is no force but in kg"):
+    with pytest.raises(ConfigError, match="'load' is not a force but in kg"):
         a_matrix(tests, settings)

@@ -239,7 +239,7 @@ def test_faults_of_a_table_are_named(folder: Path) -> None:
     ],
 )
 def test_the_conditions_of_a_table(tmp_path: Path, text: str, found: dict[str, float] | str) -> None:
-    """At 150 rad/s: an angle per time is no number of revolutions, and a gap is no theory."""
+    """At 150 rad/s: an angle per time is not a number of revolutions, and a gap is not a theory."""
     (tmp_path / "t.csv").write_text(text)
     theory = of_table(tmp_path / "t.csv", "speed")
     if isinstance(found, dict):

@@ -51,7 +51,7 @@ def test_a_term_is_chosen_among_peaks() -> None:
     ("conditions", "what"),
     [
         ({"a": {}, "b": {}}, "test 'a' has no condition 'preload'"),
-        ({"a": {"preload": "up"}, "b": {"preload": "1 N"}}, "of test 'a': 'up' is no amount"),
+        ({"a": {"preload": "up"}, "b": {"preload": "1 N"}}, "of test 'a': 'up' is not an amount"),
         ({"a": {"preload": "3 Nn"}, "b": {"preload": "1 N"}}, "unknown unit 'Nn'"),
         ({"a": {"preload": "3 N.m^4"}, "b": {"preload": "1 N"}}, "unusual dimension"),
         ({"a": {"preload": "3 m"}, "b": {"preload": "1 N"}}, "has the units N, m"),

@@ -146,7 +146,7 @@ def test_what_cannot_be_compared_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
     )
     named = replace(strange, outputs=(Port("q", "q", "q"), *strange.outputs[1:]))
     other = replace(fits["x"], curve=replace(fits["x"].curve, outputs=("q",)))
-    with pytest.raises(ConfigError, match="'q' is no dof of the bearing's theory"):
+    with pytest.raises(ConfigError, match="'q' is not a dof of the bearing's theory"):
         match(other, named, PEAKS, THEORY, BENT)
     negative = replace(fits["z"], parameters=tuple(replace(p, value=-p.value) for p in fits["z"].parameters))
     with pytest.raises(FitError, match="impossible for a bearing"):

@@ -1,4 +1,4 @@
-"""A claim: one number that labpipe computes, held against a reference that somebody else stands for, with
+"""A claim: one number that labpipe computes, compared with a reference that somebody else stands for, with
 what is accepted.
 """
 
@@ -122,7 +122,7 @@ def among(
 
 
 def untested(quantity: str, kind: Kind, source: str, why: str) -> Claim:
-    """What should be held against this source and is not, with the reason."""
+    """What should be compared with this source and is not, with the reason."""
     return Claim(quantity, None, None, "", 0.0, 0.0, kind, source, why)
 
 

@@ -119,7 +119,7 @@ def kit() -> list[Claim]:
     note, source = said("kit"), "AutomationShield"
     k_i, k_s = (value("kit", "kit", "magnet", name) for name in ("k_i", "k_s"))
     why = (
-        "the force is not in proportion to the current: weight over mean current is no slope; "
+        "the force is not in proportion to the current: weight over mean current is not a slope; "
         "*model-mismatch* warns"
     )
     return [

@@ -120,7 +120,7 @@ def decayed(band: tuple[float, float]) -> Fit:
 def free_decay() -> list[Claim]:
     """One hit's decay against the averaged FRF: 50 ppm and 10 %.
 
-    The second harmonic of the mains of 60 Hz is no mode.
+    The second harmonic of the mains of 60 Hz is not a mode.
     """
     ring, hum = decayed((204.0, 220.0)), decayed((100.0, 130.0))
     interval = hum.parameter("zeta_1").ci95

@@ -436,7 +436,7 @@ def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
 
 
 def of_spectra(folder: Path, name: str) -> dict[str, float]:
-    """What FRFs are held against: an analyser's from the same recording, and two halves of a record against
+    """What FRFs are compared with: an analyser's from the same recording, and two halves of a record against
     each other by the variances of both.
     """
     if name == "piezo":

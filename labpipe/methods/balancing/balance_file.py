@@ -172,7 +172,7 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
             raise ConfigError("a model needs readings of displacement", path, "in um")
         prior, lines = model(path.parent / settings.model, list(planes), lines)
     if settings.grade is not None and len(lines) < len(planes):
-        what = f"grade: {len(lines)} reading(s) do not tell the unbalance in {len(planes)} planes"
+        what = f"grade: {len(lines)} reading(s) do not determine the unbalance in {len(planes)} planes"
         raise ConfigError(what, entries["grade"].place, "more sensors or speeds, or no grade")
     missing = complex(np.nan, np.nan)
     runs = tuple(
@@ -242,7 +242,7 @@ def _read_run(
                     units.setdefault("", _si_of(entry.text))
                 unit = "kg.m" if part == "weights" else units[""]
                 if " at " not in entry.text:
-                    raise UnitError(f"'{entry.text}' is no vector", f"write it as 12 {unit} at 30 deg")
+                    raise UnitError(f"'{entry.text}' is not a vector", f"write it as 12 {unit} at 30 deg")
                 into[name] = parse_phasor(entry.text, unit)
             except UnitError as error:
                 faults.add_unit(entry, place, error)
@@ -262,7 +262,7 @@ def _si_of(text: str) -> str:
         except UnitError:
             continue
         return unit
-    raise UnitError(f"'{text}' is no reading of a motion", "write it as 8.5 um at 60 deg, or in mm/s")
+    raise UnitError(f"'{text}' is not a reading of a motion", "write it as 8.5 um at 60 deg, or in mm/s")
 
 
 @dataclass(frozen=True)

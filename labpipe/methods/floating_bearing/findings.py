@@ -363,5 +363,5 @@ def stator_error(best: Estimate, balance: Balance, noise: Noise) -> BalanceError
         f"form {best.model.form.name} is not the course over frequency, the bearing is not linear at this "
         "amplitude, or a channel is wrong"
     )
-    cure = "Hold forms against each other with `compare: true`, or narrow the band"
+    cure = "Compare forms with `compare: true`, or narrow the band"
     return balance_error(best.covariance, best.reduced, best.p_value, misfit, cause, cure)

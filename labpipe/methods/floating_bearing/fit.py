@@ -107,7 +107,7 @@ def baseline_of(fit: Fit) -> Baseline:
     """
     shown = fit.detail(DynamicStiffness)
     if shown is None or not fit.converged:
-        raise ConfigError(f"the fit '{fit.name}' is no baseline: it did not converge")
+        raise ConfigError(f"the fit '{fit.name}' is not a baseline: it did not converge")
     label = f"noise of {fit.name}" + (f", test {fit.test}" if fit.test else "")
     errors = np.sqrt(np.diag(shown.noise))
     scale = np.where(errors > 0, errors, 1.0)
@@ -506,6 +506,6 @@ def _report(
     fit = balance_fit(settings, best, gof, solved.amplification, parameters, band, n_line, remedy)
     if best.model.n_shape:
         # What is common to two terms of such a form is told by their correlation and intervals, which hold;
-        # the lines are no fault.
+        # the lines are not a fault.
         fit = replace(fit, findings=tuple(f for f in fit.findings if f.code != "collinear"))
     return replace(fit, candidates=solved.candidates)

@@ -3,7 +3,7 @@ coefficients.
 
 A rotor whirls undamped where det(K - k I + jw C - w^2 M) = 0 for a real stiffness k and frequency w: the
 imaginary part gives k, linear in x = w^2, and the real part then is a quadratic in x (Lund 1987; San Andres
-2006 for seals). A negative x is no whirl. On a circular orbit the force is that of H_f = (H_xx + H_yy - j
+2006 for seals). A negative x is not a whirl. On a circular orbit the force is that of H_f = (H_xx + H_yy - j
 (H_xy - H_yx)) / 2: K_eff = Re H_f, C_eff = Im H_f / w.
 
 *std_error* is what noise leaves, *std_error_inflated* with it what given numbers add (and a residual beyond

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.damping import damp
 from labpipe.estimation.derived import reported_parameters
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import chosen_ports
-from labpipe.estimation.model import DynamicModel, Setup
+from labpipe.estimation.model import DynamicModel, Equation, Setup
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate as FitEstimate
 from labpipe.estimation.transfer_mode import transfer_of
@@ -43,11 +43,20 @@ RINGS_ON = "the response rings on at the end of the block, lengthen `block`"
 
 
 class FollowedFit:
-    """One fit of the pipeline, followed average by average on its own lines and channels. *block*: how long
-    the response is followed after a hit [s], 0 for periods.
+    """One fit of the pipeline, followed average by average on its own lines and channels, at the *frequency*
+    [Hz] of *lines* of the averages. *block*: how long the response is followed after a hit [s], 0 for
+    periods; *windowed*: its force stands under a window.
     """
 
-    def __init__(self, settings: FitSettings, layout: Layout, frequency: FloatArray, block: float) -> None:
+    def __init__(
+        self,
+        settings: FitSettings,
+        layout: Layout,
+        frequency: FloatArray,
+        lines: IntArray,
+        block: float,
+        windowed: bool,
+    ) -> None:
         self.settings = settings
         self.setup, rows, columns = _setup(settings, layout)
         model = damp(settings.kind.model(self.setup), settings)
@@ -66,14 +75,16 @@ class FollowedFit:
         self._sensors = np.array([sensor_response(sensors[port], chosen) for port in ports]).T
         self._sensors[:, : len(rows)] *= (2j * np.pi * chosen[:, None]) ** layout.derivatives
         self._form = layout.form
-        equation = running_fit.Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
+        equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
         self.fit = running_fit.RunningFit(equation)
-        self.sums, self._block = running_fit.Directions(hits=block > 0), block
+        scale = 1 / np.abs(self._sensors[:, -1]) ** 2
+        at = running_fit.ForceLines(lines[self._lines], scale, windowed)
+        self.sums, self._block = running_fit.Directions(block > 0, at), block
         self.charts = charts.Charts(self.fit)
         self.model = model
         self.estimate: running_fit.Estimate | None = None
         self.widths: dict[str, list[float]] = {}
-        self.first: list[tuple[ComplexArray, int]] = []
+        self.first: list[tuple[ComplexArray, int, FloatArray | None]] = []
         self.common: Mapping[str, charts.Common] = {}
         self.by_run: Fit | None = None
         self._looked_at, self._next_look = 0, FIRST_LOOK
@@ -101,12 +112,16 @@ class FollowedFit:
             what = f"identify.{self.settings.name}: averages are equal to the last digit"
             raise FitError(what, hint="without noise no interval is known: a test cannot end by its width")
 
-    def add(self, z: ComplexArray, direction: int) -> None:
-        """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction."""
+    def add(self, z: ComplexArray, direction: int, noise: FloatArray | None) -> None:
+        """Take in an average's amplitudes *z* (n_line, 1, n_channel) [channels' units] in that direction, and
+        the *noise* of its force.
+        """
         sums = self.sums.of(direction)
         if sums.n < 2:
-            self.first.append((z, direction))
+            self.first.append((z, direction, noise))
         sums.add(z)
+        if noise is not None and isinstance(sums, running_fit.HitSums):
+            sums.add_noise(noise)
         if sums.n == 2:
             # What another direction tells is far from where the one before left the coefficients.
             self.fit.values = None
@@ -117,14 +132,17 @@ class FollowedFit:
 
     def move(self, place: int, sign: int) -> None:
         """Take one of the first averages out (*sign* -1) or in again."""
-        z, direction = self.first[place]
-        self.sums.of(direction).add(z, sign)
+        z, direction, noise = self.first[place]
+        sums = self.sums.of(direction)
+        sums.add(z, sign)
+        if noise is not None and isinstance(sums, running_fit.HitSums):
+            sums.add_noise(noise, sign)
         self.estimate = self.fit.update(self.sums)
 
     def first_disagrees(self, place: int) -> bool:
         """Take one of the first averages out; whether it does not agree with the others."""
         self.move(place, -1)
-        z, direction = self.first[place]
+        z, direction, _ = self.first[place]
         return self.charts.jumps(z, self.sums.of(direction), self.now)
 
     def look(self) -> None:
@@ -224,8 +242,9 @@ class FollowedFit:
         """What the forces that did not act yet would save of the averages until coefficient *number* has the
         half-width *goal* [parameter unit]; None where all did.
         """
-        shaken = self.sums.shaken
-        forces = [n for n, column in enumerate(self._columns) if column not in shaken]
+        sizes = np.linalg.norm(self.sums.mean[..., len(self.setup.outputs) :], axis=0)
+        acted = np.any(sizes >= running_fit.ACTS * sizes.max(axis=1, keepdims=True), axis=0)
+        forces = [int(n) for n in np.flatnonzero(~acted)]
         if not forces:
             return None
         if self._by_turns[0] != self.now.n:
@@ -302,10 +321,8 @@ def names_of_fit(settings: FitSettings, layout: Layout) -> tuple[str, ...]:
 # A coefficient that would take so many times the averages of the slowest reachable goal is not told by this
 # direction.
 OUT_OF_REACH = 20
-# Averages of a direction after which its first two, with none before them, are held against the others.
+# Averages of a direction after which its first two, with none before them, are compared with the others.
 FIRST_AGAIN = 5
-# A force acts in an average when its amplitude is this share of the strongest one's.
-ACTS = 0.1
 
 
 @dataclass(eq=False, repr=False)
@@ -352,7 +369,7 @@ class Bench(charts.Watch):
         if not fault and not self.fits:
             self._waiting.append(average)
             # Noise is told by two averages of one direction.
-            alike = [a for a in self._waiting if self._shaken(a)[0] == self._shaken(average)[0]]
+            alike = [earlier for earlier in self._waiting if earlier.direction == average.direction]
             self.averages = len(self._waiting)
             if len(alike) < 2:
                 return self._update(())
@@ -366,11 +383,10 @@ class Bench(charts.Watch):
             event += f" is left out: {fault}"
         return self._update((event,))
 
-    def _shaken(self, average: running_fit.Average) -> tuple[int, float]:
-        """The number of an average's strongest force, and the size of all its forces [N]."""
+    def _level(self, average: running_fit.Average) -> float:
+        """The size of all forces of an average [N]."""
         force = average.amplitude[:, list(self.layout.input_columns[0])]
-        sizes = np.sqrt(np.mean(np.abs(force) ** 2, axis=0))
-        return int(np.argmax(sizes)), float(np.sqrt(np.mean(sizes**2)))
+        return float(np.sqrt(np.mean(np.abs(force) ** 2)))
 
     def _begin(self, alike: Sequence[running_fit.Average]) -> None:
         frequency = self.cutter.frequency
@@ -384,7 +400,7 @@ class Bench(charts.Watch):
             raw = LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size))
             spectrum = smoothed_noise(raw, self.frf.smooth)
             for column, size in zip(self.layout.input_columns[0], level, strict=True):
-                if size >= ACTS * level.max():
+                if size >= running_fit.ACTS * level.max():
                     excited &= excited_lines(spectrum, [column])
         chosen = excited & lines_in(frequency, self.frf.band, self.frf.exclude)
         if not chosen.any():
@@ -392,14 +408,14 @@ class Bench(charts.Watch):
         self.lines = np.flatnonzero(chosen)
         length = self.cutter.n_sample / self.sample_rate if self.hits else 0.0
         block = length * (1 - self.frf.impact.pretrigger)
-        self.fits = [FollowedFit(fit, self.layout, frequency[chosen], block) for fit in self.settings]
+        of_lines = frequency[chosen], self.lines, block, self.frf.impact.force_window is not None
+        self.fits = [FollowedFit(fit, self.layout, *of_lines) for fit in self.settings]
         for fit in self.fits:
             fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
     def _follow(self, average: running_fit.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
-        # Directions are shaken one after the other: an average belongs to that of its strongest force.
-        direction, level = self._shaken(average)
+        direction, level = average.direction, self._level(average)
         parts = [fit.picked(average) for fit in self.fits]
         for fit, z in zip(self.fits, parts, strict=True):
             if fit.estimate is None:
@@ -420,7 +436,7 @@ class Bench(charts.Watch):
         if self.fits[0].sums.of(direction).n < 2:
             self._unjudged.append(average.number)
         for fit, z in zip(self.fits, parts, strict=True):
-            fit.add(z, direction)
+            fit.add(z, direction, average.noise)
         self._again = self.fits[0].sums.of(direction).n == FIRST_AGAIN
         self._starts.append(average.start)
         return ""
@@ -460,7 +476,7 @@ class Bench(charts.Watch):
         )
 
     def _first_again(self) -> list[str]:
-        """The first two averages of a direction, which had none before them, held against the others."""
+        """The first two averages of a direction, which had none before them, compared with the others."""
         events = []
         for place, number in reversed(list(enumerate(self._unjudged))):
             if self.fits[0].sums.of(self.fits[0].first[place][1]).n < running_fit.LEAST_AVERAGES:
@@ -517,7 +533,7 @@ class Bench(charts.Watch):
                 turn = "turn the shaker, or excite a second direction"
                 message = f"{name}: this excitation does not tell the coefficients apart; {turn}"
                 findings.append(Finding("collinear", message))
-            findings += fit.sums.findings(name, self.cutter)
+            findings += fit.sums.findings(name)
             if estimate.misfit and estimate.n >= 3:
                 message = (
                     f"{name}: chi-square per degree of freedom is {estimate.reduced:.3g}: the model does not "

@@ -1,6 +1,6 @@
 """Self-starting charts of a running fit, and the forecast of how long it still takes.
 
-Each new average is held against the fit before it. Together they raise a false alarm in at most one sound
+Each new average is compared with the fit before it. Together they raise a false alarm in at most one sound
 test of a hundred. Hawkins (1987), self-starting CUSUM charts; Siegmund (1985) for their limits.
 """
 
@@ -120,7 +120,7 @@ class Charts:
         gain = self._fit.equation.gain(before.values)[:, None]
         of_energy = share
         if before.misfit:
-            # What the model does not explain is in every average: this one is held against those before it.
+            # What the model does not explain is in every average: this one is compared with those before it.
             z, of_energy = z - mean, share / (1 + share)
         residual = (gain @ z[..., None])[..., 0]
         scaled_residual = (inverse @ residual[..., None])[..., 0]
@@ -320,7 +320,7 @@ class Goal:
         match = _RULE.fullmatch(text)
         if match is None or match["width"] not in WIDTHS:
             hint = "k.expanded<=1% or support.c.expanded<=20 N.s/m: a test ends by the width of an interval"
-            raise ConfigError(f"--until: '{text}' is no rule on a width", hint=hint)
+            raise ConfigError(f"--until: '{text}' is not a rule on a width", hint=hint)
         return cls(text, match["fit"] or "", match["name"], match["width"], match["limit"])
 
     def half(self, parameter: Parameter) -> float:

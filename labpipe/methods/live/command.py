@@ -45,7 +45,7 @@ def _above_zero(text: str) -> float:
     "rules",
     multiple=True,
     metavar="RULE",
-    help="End when an interval is so narrow, e.g. 'k.expanded<=1%' (repeatable); default: live.until.",
+    help="End when an interval is this narrow, e.g. 'k.expanded<=1%' (repeatable); default: live.until.",
 )
 @click.option("--json", "as_json", is_flag=True, help="One line of JSON for every average.")
 @click.option("--page", is_flag=True, help="Show the test in a browser of this machine as well.")

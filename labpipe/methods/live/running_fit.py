@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,16 @@ from scipy import fft
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import f_tail
 from labpipe.errors import DataError
-from labpipe.estimation.model import DynamicModel
+from labpipe.estimation.model import Equation
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
+from labpipe.spectra import impact
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import Lags
 from labpipe.spectra.covariance import noise_shape
-from labpipe.spectra.impact import MOST_COMMON, HitSearch, force_noise, force_window, judged_hit, noise_power
 from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
 from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.windows import force_window
 
 # Lines to either side over which the scatter is averaged: it makes the first averages usable.
 HALF_WIDTH = 7
@@ -53,18 +53,14 @@ class PeriodSums:
 
     def __init__(self) -> None:
         self.n = 0
-        self.mean = np.empty((0, 0, 0), np.complex128)
-        self._scatter = np.empty((0, 0, 0, 0), np.complex128)
+        self.mean, self._scatter = (np.zeros(1, np.complex128) for _ in range(2))
 
     def add(self, z: ComplexArray, sign: int = 1) -> None:
         """The average *z* (n_line, n_experiment, n_channel) [channels' units]; *sign* -1 takes it out."""
-        if not self.n:
-            self.mean = np.zeros(z.shape, np.complex128)
-            self._scatter = np.zeros((*z.shape, z.shape[2]), np.complex128)
         self.n += sign
         here = z - self.mean
-        self.mean += sign * here / self.n
-        self._scatter += sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
+        self.mean = self.mean + sign * here / self.n
+        self._scatter = self._scatter + sign * here[..., :, None] * (z - self.mean)[..., None, :].conj()
 
     def covariance(self) -> ComplexArray:
         """Of the mean, over neighbouring lines, (n_line, n_experiment, n_channel, n_channel) [units^2];
@@ -77,41 +73,83 @@ class PeriodSums:
         return np.asarray(moving_mean(self._scatter / scale) * scale / ((self.n - 1) * self.n))
 
 
+@dataclass(frozen=True)
+class ForceLines:
+    """Which *lines* (n_line,) of an average a fit has, and the *scale* (n_line,) [1] of squared forces there:
+    that of a sensor's response. *windowed*: under a force window.
+    """
+
+    lines: IntArray
+    scale: FloatArray
+    windowed: bool
+
+
 class HitSums:
     """Sums of products of hits or blocks with one force: H = S_xf / S_ff, the noise on the responses.
 
     An average counts by the energy of its force. The mean is [H; 1], its covariance that of H; *force_power*
-    (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages.
+    (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages. Noise of the force is
+    taken off H as in a run, where it makes H low.
     """
 
-    def __init__(self) -> None:
-        self.n = 0
-        self._xf = self._xx = np.empty(0, np.complex128)
-        self.force_power = np.empty(0)
+    def __init__(self, at: ForceLines | None = None) -> None:
+        self.n, self._at, self._windowed = 0, at, at is not None and at.windowed
+        self._xf = self._xx = np.zeros(1, np.complex128)
+        self.force_power = self._noise = np.zeros(1)
+        self._low: tuple[FloatArray, float] | None = None
 
     def add(self, z: ComplexArray, sign: int = 1) -> None:
         """Take *z* (n_line, n_experiment, n_channel) [channels' units], the force last, in, or out (-1)."""
         x, f = z[..., :-1], z[..., -1]
-        if not self.n:
-            self._xf = np.zeros(x.shape, np.complex128)
-            self.force_power = np.zeros(f.shape)
-            self._xx = np.zeros((*x.shape, x.shape[2]), np.complex128)
         self.n += sign
-        self._xf += sign * x * f[..., None].conj()
-        self.force_power += sign * np.abs(f) ** 2
-        self._xx += sign * x[..., :, None] * x[..., None, :].conj()
+        self._xf = self._xf + sign * x * f[..., None].conj()
+        self.force_power = self.force_power + sign * np.abs(f) ** 2
+        self._xx = self._xx + sign * x[..., :, None] * x[..., None, :].conj()
+        self._low = None
+
+    def add_noise(self, power: FloatArray, sign: int = 1) -> None:
+        """Of the force in an average, (n_line_of_average,) [squared force unit], likewise."""
+        self._noise = self._noise + sign * power
+        self._low = None
+
+    def _error(self) -> tuple[FloatArray, float]:
+        """Relative error (n_line,) [1] of H by noise of the force, and how many standard errors of a gain
+        common to all lines that is.
+        """
+        if self._low is None and (self.n < 2 or not self._noise.any()):
+            self._low = np.zeros(len(self.force_power)), 0.0
+        elif self._low is None:
+            noise = impact.noise_around(self._noise, self.n)
+            noise = noise if self._at is None else noise[self._at.lines] * self._at.scale
+            error = impact.force_error(noise, self.force_power[:, 0], self.n, windowed=self._windowed)
+            h = self._xf / self.force_power[..., None]
+            weight = np.abs(h) ** 2 / np.einsum("leoo->leo", self._covariance(h)).real
+            common = np.sum(error[:, None, None] * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))
+            self._low = error, float(np.max(common))
+        return self._low
+
+    @property
+    def _factor(self) -> FloatArray:
+        """By which H is larger without noise of the force, (n_line,) [1]."""
+        error, common = self._error()
+        return 1 / (1 - error * (common > impact.MOST_COMMON and not self._windowed))
 
     @property
     def mean(self) -> ComplexArray:
         """[H; 1], (n_line, n_experiment, n_channel) [response units per force unit]."""
-        return np.pad(self._xf / self.force_power[..., None], [(0, 0), (0, 0), (0, 1)], constant_values=1)
+        h = self._xf * (self._factor[:, None] / self.force_power)[..., None]
+        return np.pad(h, [(0, 0), (0, 0), (0, 1)], constant_values=1)
 
     def covariance(self) -> ComplexArray:
         """The same of [H; 1], (n_line, n_experiment, n_channel, n_channel) [squared units of H]. Noise of the
         force, or a force that is not recorded, makes it follow |H|^2, which changes within a few lines: it is
         smoothed over the likeliest 1 + rho |H|^2, rho of 0 where that is little better.
         """
-        power, h = self.force_power[..., None, None], self.mean[..., :-1]
+        h = self._covariance(self._xf / self.force_power[..., None]) * self._factor[:, None, None, None] ** 2
+        return np.pad(h, [(0, 0), (0, 0), (0, 1), (0, 1)])
+
+    def _covariance(self, h: ComplexArray) -> ComplexArray:
+        power = self.force_power[..., None, None]
         noise = (self._xx - power * h[..., :, None] * h[..., None, :].conj()) / (self.n - 1)
         gain = np.abs(h) ** 2
         gain, plain = gain / gain.mean(axis=0), np.einsum("leoo->leo", noise).real
@@ -121,18 +159,18 @@ class HitSums:
         best = np.where(misfit.min(axis=0) < misfit[0] - SEEN, misfit.argmin(axis=0), 0)
         root = np.sqrt(1 + SHARES[best] * gain)
         root = root[..., :, None] * root[..., None, :]
-        return np.pad(moving_mean(noise / root) * root / power, [(0, 0), (0, 0), (0, 1), (0, 1)])
+        return np.asarray(moving_mean(noise / root) * root / power)
 
-    def findings(self, fit: str, noise: float) -> list[Finding]:
-        """A warning, as of a run, of *noise* of the force in one average [squared force unit] that makes H
-        low.
-        """
-        power, size = self.force_power[..., None], np.abs(self.mean[..., :-1]) ** 2
-        low = np.broadcast_to(self.n * noise / power, size.shape)
-        weight = size / np.einsum("leoo->leo", self.covariance()[..., :-1, :-1]).real
-        common = float(np.max(np.sum(low * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))))
-        what = f"{fit}: noise of the force makes H low by"
-        return [force_noise(what, low, common)] if common > MOST_COMMON else []
+    def findings(self, fit: str) -> list[Finding]:
+        """A warning, as of a run, of noise of the force that moves H."""
+        (error, common), windowed = self._error(), self._at is not None and self._at.windowed
+        what, hint = (
+            (impact.IN_WINDOW, impact.SHORTEN)
+            if windowed
+            else (impact.AFTER_HITS, f"{impact.TAKEN_OFF}; {impact.WINDOW}")
+        )
+        message = f"{fit}: noise of the force {what}"
+        return [impact.force_noise(message, error, common, hint)] if common > impact.MOST_COMMON else []
 
 
 # Noise that follows |H|^2 over that which does not, in the mean of the lines; what the logarithm of their
@@ -144,12 +182,12 @@ Sums = PeriodSums | HitSums
 class Directions:
     """The sums of every direction that was shaken, one experiment each, once it has two averages."""
 
-    def __init__(self, hits: bool) -> None:
-        self._hits = hits
+    def __init__(self, hits: bool, at: ForceLines | None = None) -> None:
+        self._hits, self._at = hits, at
         self._sums: dict[int, Sums] = {}
 
     def of(self, direction: int) -> Sums:
-        return self._sums.setdefault(direction, HitSums() if self._hits else PeriodSums())
+        return self._sums.setdefault(direction, HitSums(self._at) if self._hits else PeriodSums())
 
     @property
     def shaken(self) -> dict[int, Sums]:
@@ -166,60 +204,13 @@ class Directions:
         """(n_line, n_experiment, n_channel) [channels' units]."""
         return np.concatenate([sums.mean for sums in self.shaken.values()], axis=1)
 
-    def findings(self, fit: str, cutter: Cutter) -> list[Finding]:
+    def findings(self, fit: str) -> list[Finding]:
         """What noise of the force does to the mean of hits."""
-        noise = cutter.force_noise if isinstance(cutter, HitCutter) else []
-        hits = [sums for sums in self.shaken.values() if isinstance(sums, HitSums)]
-        return [finding for sums in hits for finding in sums.findings(fit, float(np.mean(noise)))]
+        return [f for sums in self.shaken.values() if isinstance(sums, HitSums) for f in sums.findings(fit)]
 
     def covariance(self) -> ComplexArray:
         """Of the mean, (n_line, n_experiment, n_channel, n_channel) [products of the channels' units]."""
         return np.concatenate([sums.covariance() for sums in self.shaken.values()], axis=1)
-
-
-class Equation:
-    """e = B F - Z X of a model on its lines, and its derivatives by the coefficients.
-
-    *view* (n_line,) [1/s^n] and *offset* [1] make receptance of the measured form: X = (Y - offset F) / view.
-    """
-
-    def __init__(
-        self, model: DynamicModel, omega: FloatArray, view: ComplexArray | None = None, offset: float = 0.0
-    ) -> None:
-        self.model, self.omega = model, omega
-        self._view = np.ones(omega.size, np.complex128) if view is None else view
-        self._offset = offset
-        self.n_output, self.n_force = model.constant.force.shape
-
-    @cached_property
-    def _terms(self) -> tuple[ComplexArray, FloatArray]:
-        """Z_p(w) (n_parameter, n_line, n_output, n_output) and B_p (n_parameter, n_output, n_force)."""
-        w = self.omega[:, None, None]
-        stiffness = [
-            t.matrices.stiffness + 1j * w * t.matrices.damping - w**2 * t.matrices.mass
-            for t in self.model.terms
-        ]
-        return np.array(stiffness, np.complex128), np.array([t.matrices.force for t in self.model.terms])
-
-    def gain(self, values: FloatArray) -> ComplexArray:
-        """G of e = G z at the coefficients, (n_line, n_output, n_channel) [N per channel's unit]."""
-        stiffness = self.model.dynamic_stiffness(values, self.omega)
-        of_motion = -stiffness / self._view[:, None, None]
-        shape = (self.omega.size, self.n_output, self.n_force)
-        force = np.broadcast_to(self.model.whole(values).force.astype(np.complex128), shape)
-        force = force - self._offset * of_motion if self._offset else force
-        return np.concatenate([of_motion, force], axis=2)
-
-    def slopes(self, z: ComplexArray) -> ComplexArray:
-        """de/dp of *z*, (n_line, n_experiment, n_output, n_parameter) [N per parameter unit]."""
-        force = z[..., self.n_output :]
-        shift = self._offset * force[..., : self.n_output] if self._offset else 0.0
-        motion = (z[..., : self.n_output] - shift) / self._view[:, None, None]
-        stiffness, factors = self._terms
-        moved = np.einsum("plij,lej->leip", stiffness, motion)
-        if np.any(factors):
-            moved = moved - np.einsum("pij,lej->leip", factors, force)
-        return -moved
 
 
 @dataclass(frozen=True)
@@ -375,6 +366,9 @@ def normal_equations(
 
 # Share of the cross spectrum of two forces that one delay explains where they are the same signal.
 SAME_SIGNAL = 0.7
+# Likeness of the proportions of two forces from which on they shake the same direction, and share of the
+# largest one's amplitude with which a force acts.
+SAME_FORCES, ACTS = 0.8, 0.1
 # Least growth of the energy of a force that begins to shake its direction.
 GROWN = 4.0
 # A first hit stands out of the noise before it by so many times its rms.
@@ -386,7 +380,8 @@ WEAK = 0.1
 @dataclass(frozen=True)
 class Average:
     """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
-    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI].
+    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI]. *noise*
+    (n_line,) [squared unit of the force] of the force in a hit; *direction*: number of that of its forces.
     """
 
     number: int
@@ -394,6 +389,8 @@ class Average:
     amplitude: ComplexArray
     peaks: FloatArray
     fault: str = ""
+    noise: FloatArray | None = None
+    direction: int = 0
 
 
 class _Cutter:
@@ -432,7 +429,7 @@ class PeriodCutter(_Cutter):
         # Energies of the forces in the last period, and for how many the strongest has been the same.
         self._energies: FloatArray = np.zeros(len(self._forces))
         self._alike = 0
-        # The first force of each direction, and what turns those of the present recording to its phases.
+        # The first forces of each direction, and what turns those of the present recording to their phases.
         self._first: dict[int, ComplexArray] = {}
         self._turns: dict[int, ComplexArray] = {}
 
@@ -454,8 +451,7 @@ class PeriodCutter(_Cutter):
                 self._left -= 1
                 continue
             self._number += 1
-            average = self._average(start, period, np.max(np.abs(moved), axis=0), moved, "")
-            yield replace(average, amplitude=average.amplitude * self._turn(average)[:, None])
+            yield self._turn(self._average(start, period, np.max(np.abs(moved), axis=0), moved, ""))
 
     def _turned(self, energies: FloatArray) -> bool:
         """Whether another force than in several periods before is the strongest now, and grew to be it; by
@@ -467,27 +463,38 @@ class PeriodCutter(_Cutter):
         self._energies, self._alike = energies, self._alike + 1 if same else 1
         return bool(turned)
 
-    def _turn(self, average: Average) -> ComplexArray:
-        """What turns a period to the phases that the force of its direction had first, (n_line,) [1]: a
-        recording that was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the
-        cross-correlation of the forces; line by line where these are other phases.
+    def _direction(self, forces: ComplexArray) -> int:
+        """The number of the direction whose *forces* (n_line, n_force) were in the same proportion to each
+        other, line by line, at first; of hardly any force the nearest, of another proportion a new one.
+        """
+        likeness = {
+            number: np.sum(np.abs(np.sum(first * forces.conj(), axis=1)))
+            / max(np.linalg.norm(first, axis=1) @ np.linalg.norm(forces, axis=1), np.finfo(float).tiny)
+            for number, first in self._first.items()
+        }
+        nearest = max(likeness, key=likeness.__getitem__, default=0)
+        weak = any(np.linalg.norm(forces) < ACTS * np.linalg.norm(first) for first in self._first.values())
+        return nearest if weak or likeness.get(nearest, 0.0) > SAME_FORCES else len(likeness)
+
+    def _turn(self, average: Average) -> Average:
+        """A period by its direction, turned to the phases that the forces of this had first: a recording that
+        was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the cross-correlation
+        of the forces; line by line where these are other phases.
         """
         forces = average.amplitude[:, self._forces]
-        direction = int(np.argmax(np.sum(np.abs(forces) ** 2, axis=0)))
-        force = forces[:, direction]
-        if not force.any():
-            return np.ones_like(force)
-        if self._first.setdefault(direction, force) is force:
-            self._turns[direction] = np.ones_like(force)
+        direction = self._direction(forces)
+        if self._first.setdefault(direction, forces) is forces or not forces.any():
+            self._turns[direction] = np.ones(len(forces), np.complex128)
         if direction not in self._turns:
-            cross = self._first[direction] * force.conj()
+            cross = np.sum(self._first[direction] * forces.conj(), axis=1)
             delay = np.argmax(fft.irfft(np.pad(cross, (self._lines.start, 0)), self.n_sample))
             w, size = 2 * np.pi * self.frequency / self.sample_rate, np.abs(cross)
             rest = np.angle(cross * np.exp(1j * w * delay))
             turn = np.exp(-1j * w * (delay - np.sum(size * w * rest) / np.sum(size * w**2)))
             alike = np.sum((cross * turn.conj()).real) > SAME_SIGNAL * np.sum(size)
             self._turns[direction] = turn if alike else np.exp(1j * np.angle(cross))
-        return self._turns[direction]
+        turned = average.amplitude * self._turns[direction][:, None]
+        return replace(average, amplitude=turned, direction=direction)
 
 
 class HitCutter(_Cutter):
@@ -503,11 +510,9 @@ class HitCutter(_Cutter):
             raise DataError(what, hint="one hammer per recording")
         self._force, self._impact = self._forces[0], settings.impact
         self._before = round(self._impact.pretrigger * self.n_sample)
-        self._search = HitSearch(self._force, self.n_sample, self._before, len(channels))
+        self._search = impact.HitSearch(self._force, self.n_sample, self._before, len(channels))
         self._sizes: list[float] = []
         self._noise, self._rest = 0.0, np.zeros(len(channels))
-        # Noise of the force in the hits, as squared amplitudes of a line.
-        self.force_noise: list[float] = []
 
     def restart(self) -> None:
         self._search.restart()
@@ -539,7 +544,7 @@ class HitCutter(_Cutter):
     def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
         self._number += 1
         raw = np.nan_to_num(samples)
-        hit = judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
+        hit = impact.judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
         fault = hit.fault
         size = float(np.max(np.abs(hit.samples[:, self._force])))
         usual = float(np.median(self._sizes)) if self._sizes else 0.0
@@ -552,9 +557,11 @@ class HitCutter(_Cutter):
             length = self._impact.force_window * self.sample_rate
             window[:, 0] = force_window(self.n_sample, trigger, length)
             windowed[:, [self._force]] *= window
-        noise = float(np.mean(noise_power(hit, self._force, self._lines)) * np.sum(window**2))
-        self.force_noise.append(noise * (2 / self.n_sample) ** 2)
-        return self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
+        noise = (
+            impact.noise_power(hit, self._force, self._lines) * np.sum(window**2) * (2 / self.n_sample) ** 2
+        )
+        average = self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
+        return replace(average, noise=noise)
 
 
 Cutter = PeriodCutter | HitCutter

@@ -347,7 +347,7 @@ class Frames:
         if len(self._streams) > 1:
             text = stream.read(1 << 20)
             if not text:
-                # What was cut off by the kill is no frame; what follows is another recording.
+                # What was cut off by the kill is not a frame; what follows is another recording.
                 stream.close()
                 self._streams, self._rest, self._begins = self._streams[1:], b"", True
                 return self.read()

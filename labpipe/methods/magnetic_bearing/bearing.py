@@ -167,7 +167,7 @@ class MagneticFile(Settings):
         for name in self.inferred:
             if name not in entries:
                 hint = nearest(name, entries)
-                raise ConfigError(f"inferred: '{name}' is no entry of a magnetic bearing", hint=hint)
+                raise ConfigError(f"inferred: '{name}' is not an entry of a magnetic bearing", hint=hint)
         self._check_factors()
 
     def _check_factors(self) -> None:

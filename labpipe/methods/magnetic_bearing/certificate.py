@@ -184,7 +184,7 @@ def loop_amounts(plant: Suspended, rate: float | None, modes: ComplexArray, stab
             "delay_margin": of.delay,
             "disk_margin": of.disk,
         }
-        # What the loop never reaches is no number.
+        # What the loop never reaches is not a number.
         amounts |= {name: value for name, value in named.items() if np.isfinite(value) and value > 0}
     for number, pole in enumerate(modes, 1):
         amounts[f"f_n_{number}"] = float(np.abs(pole) / (2 * np.pi))

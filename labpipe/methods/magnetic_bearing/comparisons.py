@@ -264,7 +264,7 @@ def _with_directions_left_out(comparison: Comparison, ports: Iterable[Port]) -> 
     if not labels:
         return comparison
     what = f"uncertainties of the directions of {labels} are not propagated"
-    finding = Finding("number-uncertainty", f"{what}: no other channel tells the motion across")
+    finding = Finding("number-uncertainty", f"{what}: no other channel measures the motion across")
     return replace(comparison, findings=(*comparison.findings, finding))
 
 

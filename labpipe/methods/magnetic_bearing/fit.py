@@ -116,7 +116,7 @@ def remedy(_group: Sequence[str]) -> str:
 
 
 def magnet_error(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> BalanceError:
-    """The covariance of noise and, where the rotor is no rigid mass on its magnets, of what that leaves."""
+    """The covariance of noise and, where the rotor is not rigid on its magnets, of what that leaves."""
     model, omega, n = best.model, rotor.omega, rotor.n_axis
     rows, state = model.rows(best.values, omega), likelihood.MagnetLikelihood(rotor, model).at(best.values)
     axes = state.smoothed @ rotor.to_axes.T
@@ -135,8 +135,8 @@ def magnet_error(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> 
         larger=rotor.noise.inflation,
     )
     cause = (
-        "the rotor is no rigid mass in the band (bending, a moving housing), another force acts, the mass is "
-        "wrong, or the magnet is not linear at this amplitude"
+        "the rotor is not a rigid mass in the band (bending, a moving housing), another force acts, the mass "
+        "is wrong, or the magnet is not linear at this amplitude"
     )
     cure = "Narrow the band; where the current was sampled without a filter behind a held output, give `hold`"
     return balance_error(best.covariance, best.reduced, best.p_value, misfit, cause, cure)

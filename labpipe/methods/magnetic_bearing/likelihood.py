@@ -88,7 +88,7 @@ class MagnetLikelihood:
         ).T
 
     def chi2(self, parameters: FloatArray) -> float:
-        """V [1] at *parameters* (n_parameter,) [parameter units]; infinite where it is no number."""
+        """V [1] at *parameters* (n_parameter,) [parameter units]; infinite where it is not a number."""
         try:
             white = self.at(parameters).white
         except np.linalg.LinAlgError:

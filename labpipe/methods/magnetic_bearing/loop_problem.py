@@ -73,13 +73,15 @@ def _place(file: MagneticFile, name: str) -> tuple[str, str, str]:
             raise ConfigError(f"estimate: '{name}' names no block of the controller", hint=hint)
         if entry not in _BLOCK_ENTRIES:
             hint = nearest(entry, list(_BLOCK_ENTRIES))
-            raise ConfigError(f"estimate: '{name}' is no number of a block", hint=hint)
+            raise ConfigError(f"estimate: '{name}' is not a number of a block", hint=hint)
         return number, entry, _BLOCK_ENTRIES[entry]
     for section, units in ENTRIES.items():
         if field in units and not (section == "" and field == "force_per_current" and file.factor_of_loop):
             return section, field, units[field]
     names = dict.fromkeys([*ALIASES, *(entry for units in ENTRIES.values() for entry in units)])
-    raise ConfigError(f"estimate: '{name}' is no unknown of a magnetic bearing", hint=nearest(name, names))
+    raise ConfigError(
+        f"estimate: '{name}' is not an unknown of a magnetic bearing", hint=nearest(name, names)
+    )
 
 
 def unknown(file: MagneticFile, name: str) -> Unknown:

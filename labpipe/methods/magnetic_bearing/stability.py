@@ -31,7 +31,7 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
 
 PADE_ORDER = 4
-# Sizes of z: of what is no state but an empty place in a delay line, and beyond 1 of a pole that grows.
+# Sizes of z: of what is not a state but an empty place in a delay line, and beyond 1 of a pole that grows.
 EMPTY, MARGINAL = 1e-6, 1e-9
 # Upper ends of the zones A, B, C of ISO 14839-3, peak of |S|; D lies above. 3 is 9.5 dB.
 ZONES = (("A", 3.0), ("B", 4.0), ("C", 5.0))

@@ -133,7 +133,7 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
         )
         return [[Transfer(zeros, poles, float(system.gain), rate)]]
     hint = "num and den, zeros, poles and gain, or A, B, C and D"
-    raise ConfigError(f"a {type(system).__name__} is no transfer function", hint=hint)
+    raise ConfigError(f"a {type(system).__name__} is not a transfer function", hint=hint)
 
 
 def _rate_of(interval: Any) -> float | None:

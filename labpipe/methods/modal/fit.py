@@ -76,7 +76,7 @@ def mismatch(estimate: ModalEstimate) -> float | None:
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
-    """Whether the residual is no noise where the noise is not known."""
+    """Whether the residual is not noise where the noise is not known."""
     return estimate.chi2_reduced is None and p_noise < MISMATCH_P
 
 
@@ -288,7 +288,8 @@ def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     weight = _weight(turned, factor)
-    lines = Lines(measured.omega, matrix, DERIVATIVES[form], weight, hysteretic, measured.leakage)
+    shared, power = measured.shared_noise, DERIVATIVES[form]
+    lines = Lines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared)
     return _Sides(turned, lines, forces_move, by_force)
 
 
@@ -365,7 +366,8 @@ def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf
             what = f"no pole returns in a quarter of the orders up to {highest}"
             hint = f"{hint}, or name `poles` by hand"
         raise FitError(f"{what}: no mode stands out of the noise of this band", hint=hint)
-    if np.unique(start.values).size < start.values.size:
+    start = start.at(np.sort(np.unique(start.values, return_index=True)[1]))
+    if start.values.size < len(modal.poles):
         what = "two of the named poles are one and the same pole of the data"
         raise FitError(what, hint="name each mode once")
     if lines.omega.size < LINES_PER_ORDER * start.values.size:
@@ -429,7 +431,7 @@ def _report(
             measured, beyond, estimate, parameters, misfit, moved, moving=moving
         )
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
-    # Points that differ are no fault of the modes.
+    # Points that differ are not a fault of the modes.
     named = errors if misfit or not shown else {}
     if judged and (misfit or errors):
         parameters = model_error.with_model_errors(

@@ -35,7 +35,8 @@ class Lines:
 
     weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over
     lines are weighted with it. hysteretic: whether modes are damped by a loss factor, else viscously.
-    leakage: of random data, where it is known.
+    leakage: of random data, where it is known. shared: variance of a sum over the lines over that of
+    independent ones [1].
     """
 
     omega: FloatArray
@@ -44,6 +45,7 @@ class Lines:
     weight: FloatArray
     hysteretic: bool = False
     leakage: Leakage | None = None
+    shared: float = 1.0
 
     @property
     def s(self) -> ComplexArray:
@@ -344,13 +346,12 @@ def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     return terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients)
 
 
-def by_lines(terms: ResidualTerms, refined: Refined, shared: float = 1.0, *, real: bool = False) -> Refined:
+def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
     """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
     for all parameters at once, with terms and shapes eliminated output by output.
 
     S_o: slopes by poles and participation without the shapes, r_o: residual; shares of a line in the former x
-    = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *shared*: variance of
-    a sum over the lines over that of independent ones [1]; *real*: as in refine.
+    = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
     state = _State.at(terms, refined.poles, refined.participation, real)
@@ -390,7 +391,8 @@ def by_lines(terms: ResidualTerms, refined: Refined, shared: float = 1.0, *, rea
             (of_shape.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output]
             - shares[:, :, 0] @ eliminated[output].T
         )
-    of_poles, of_shapes = np.sqrt(shared) * shares[:, :, 0], np.sqrt(shared) * np.array(of_outputs)
+    root = np.sqrt(lines.shared)
+    of_poles, of_shapes = root * shares[:, :, 0], root * np.array(of_outputs)
     return replace(
         refined,
         covariance=of_poles.T @ of_poles,

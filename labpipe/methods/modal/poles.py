@@ -309,7 +309,7 @@ def _median(values: ComplexArray) -> complex:
 
 
 LAGS = 8
-# Lines whose residuals tell the noise of the one in their middle.
+# Lines whose residuals give the noise of the one in their middle.
 AROUND = 31
 
 
@@ -399,7 +399,9 @@ BROADEST = 0.5
 # Two poles of like participation closer than this part of their decay rate are one pole that differs from
 # point to point.
 DISTINCT, ALIKE_MODES = 0.25, 0.9
-# Probability by noise alone below which a mode counts as seen.
+# Distance in decay rates, a half-power width, within which poles that are not seen may hide each other.
+OVERLAP = 2.0
+# Probability by noise alone, anywhere in the band, below which a mode counts as seen.
 SEEN_P = 1e-3
 
 
@@ -417,13 +419,14 @@ class Completed:
 
 def kept_modes(refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
     """The modes inside the band, not as broad as it, that stand out of the noise, refined again without the
-    others; notes name these.
+    others; notes name these. Of several poles on one mode, which hide each other, the clearest is judged
+    again by itself.
 
     FitError where none stays.
     """
     frequency = np.abs(refined.poles) / (2 * np.pi)
     inside, narrow, seen = _standing(terms.lines, refined)
-    keep = inside & narrow & seen
+    keep = inside & narrow & (seen | _clearest(refined, inside & narrow & ~seen))
     if np.all(keep):
         return refined, terms, ()
     reasons = (
@@ -445,22 +448,35 @@ def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, Boo
     frequency, decay = np.abs(refined.poles), -refined.poles.real
     low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)
-    seen = (shape_p(refined) < SEEN_P) & (decay > SHARPEST * lines.spacing)
+    seen = (shape_p(refined, lines) < SEEN_P) & (decay > SHARPEST * lines.spacing)
     return inside, 2 * decay < BROADEST * (high - low), seen
 
 
-def shape_p(refined: Refined) -> FloatArray:
-    """Probability (n_mode,) [1] of so large a shape by noise alone: chi-square of its points, of 2 degrees of
-    freedom each.
+def _clearest(refined: Refined, unseen: BoolArray) -> BoolArray:
+    """Of *unseen* modes (n_mode,) that overlap others and act on the references like them the largest."""
+    overlap, alike = _overlap(refined)
+    size = np.linalg.norm(refined.shapes, axis=0) / np.abs(refined.poles.real)
+    rank = np.argsort(np.argsort(size))
+    beside = (overlap < OVERLAP) & alike & unseen & ~np.eye(rank.size, dtype=bool)
+    return unseen & np.any(beside, axis=1) & (np.max(np.where(beside, rank, -1), axis=1) < rank)
+
+
+def shape_p(refined: Refined, lines: Lines) -> FloatArray:
+    """Probability (n_mode,) [1] of so large a shape by noise alone, anywhere in the band: chi-square of its
+    points, of 2 degrees of freedom each, over what the noise of the lines has in common, times the number of
+    half-power widths (lines, of a sharper mode) that the band holds, where noise may peak as well.
 
     Equation (modal-seen).
     """
+    widths = np.maximum(2 * np.abs(refined.poles.real), lines.spacing)
+    places = np.maximum((lines.omega[-1] - lines.omega[0]) / widths, 1.0)
     probabilities = []
     for mode, shape in enumerate(refined.shapes.T):
         block, psi = slice(2 * mode, 2 * mode + 2), np.stack([shape.real, shape.imag], axis=-1)
         inverse = np.linalg.pinv(refined.shape_covariance[:, block, block])
-        probabilities.append(chi2_tail(float(np.einsum("oi,oij,oj->", psi, inverse, psi)), psi.size))
-    return np.array(probabilities)
+        chi2 = float(np.einsum("oi,oij,oj->", psi, inverse, psi)) / lines.shared
+        probabilities.append(chi2_tail(chi2, psi.size))
+    return np.minimum(np.array(probabilities) * places, 1.0)
 
 
 def complete(
@@ -521,6 +537,13 @@ def _distinct(refined: Refined) -> bool:
     """Whether no two modes are one: R / (s - lambda - d_o) with d_o of the points looks like two poles close
     to lambda.
     """
-    apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
-    alike = modal_assurance(refined.participation, refined.participation) > ALIKE_MODES
+    apart, alike = _overlap(refined)
     return np.count_nonzero((apart < DISTINCT) & alike) == refined.poles.size
+
+
+def _overlap(refined: Refined) -> tuple[FloatArray, BoolArray]:
+    """Distances of all poles in decay rates (n_mode, n_mode) [1], and whether they act on the references
+    alike.
+    """
+    apart = np.abs(refined.poles[:, None] - refined.poles) / np.abs(refined.poles.real)
+    return apart, modal_assurance(refined.participation, refined.participation) > ALIKE_MODES

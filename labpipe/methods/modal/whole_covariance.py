@@ -204,7 +204,7 @@ def covariance_fit(
     start = model.joined(refined, measured)
     dof = measured.n_equation - model.n_parameter
     if not has_noise(measured) and refined.converged:
-        refined = by_lines(terms, refined, measured.shared_noise, real=real)
+        refined = by_lines(terms, refined, real=real)
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:

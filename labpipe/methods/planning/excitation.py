@@ -83,7 +83,7 @@ def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
                 raise SettingError("rig", what, "a channel with `dof`")
     for channel in outputs:
         if channel.quantity not in needed:
-            what = f"{channel.name} is no response that this model takes"
+            what = f"{channel.name} is not a response that this model takes"
             raise SettingError("rig", what, "role: reference, or a rig file without it")
     forces = forces_of(rig)
     if not forces or (len(forces) > 1 and {force.dof for force in forces} != set(shakers)):

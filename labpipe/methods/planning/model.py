@@ -21,7 +21,7 @@ from labpipe.errors import SettingError
 AXES = ("x", "y")
 UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg"}
 LETTERS = ("k", "c", "m")
-# A coefficient expected to be zero, or nearly so, is held against this share of the largest of its kind.
+# A coefficient expected to be zero, or nearly so, is compared with this share of the largest of its kind.
 LEAST_SHARE = 0.01
 
 

@@ -52,7 +52,7 @@ from labpipe.records.uncertain import Budget
 FEWEST_PERIODS = 3
 # Of one period: a search over more lines takes hours.
 MOST_LINES, MOST_SAMPLES = 20_000, 1 << 24
-# True errors of labpipe's own fits over those with known noise, by the number of periods that tell the noise:
+# True errors of labpipe's own fits over those with known noise, by the number of periods that give the noise:
 # of 2000 simulated tests each (tests/methods/planning/test_weights.py). Fits of FRFs have the noise of
 # neighbouring lines and lose nothing; fits of the spectra of all channels know it from the periods alone.
 OF_SPECTRA = {3: 1.07, 4: 1.05, 5: 1.02, 10: 1.0}
@@ -100,7 +100,7 @@ def period_signals(test: campaigns.Multisines, sample_rate: float, period: float
 
 @dataclass(frozen=True)
 class _Question:
-    """What is planned, and what it is held against: *flats* are the flat multisines by their phases."""
+    """What is planned, and what it is compared with: *flats* are the flat multisines by their phases."""
 
     settings: PlanSettings
     title: str
@@ -133,7 +133,7 @@ def make_plan(
     plan = _plan(question, design, timed, periods, skip)
     if settings.skip is None and skip > 1:
         skipped = f"{skip} periods, {skip * settings.period:.4g} s, that are skipped"
-        waiting = f"Every test begins with {skipped}: motion takes so long to die away."
+        waiting = f"Every test begins with {skipped}: motion takes that long to die away."
         plan = replace(plan, notes=(*plan.notes, waiting))
     if budget is not None:
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
@@ -288,7 +288,7 @@ def _direction(name: str) -> tuple[float, float]:
         angle = AXIS_ANGLES[name] if name in AXIS_ANGLES else parse_value(name, "rad")
     except UnitError:
         hint = "x, y, or an angle from x such as 45 deg"
-        raise SettingError("shakers", f"'{name}' is no direction", hint) from None
+        raise SettingError("shakers", f"'{name}' is not a direction", hint) from None
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 

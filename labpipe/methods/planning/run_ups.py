@@ -105,7 +105,7 @@ class RunUpPlanSettings(Settings):
     stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
     changeover: float = quantity("time between runs", "s", 0.0)
     to_threshold: bool = setting(
-        "flag", "the highest stretch may be run on until the rotor gets unstable", default=False
+        "flag", "the highest stretch may be run on until the rotor becomes unstable", default=False
     )
     displacement_limit: float | None = quantity("largest at a plane, 0-to-peak; default: none", "m", None)
     journal_limit: float | None = quantity("largest of the journal, 0-to-peak; default: none", "m", None)

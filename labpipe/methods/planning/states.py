@@ -272,7 +272,7 @@ def common_number(bearing: BearingFile, name: str) -> Common:
     values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
     numbers = tuple(key for key in values if key not in ("load", "speed"))
     if name not in numbers:
-        what = f"'{name}' is no number of a {bearing.kind_name}"
+        what = f"'{name}' is not a number of a {bearing.kind_name}"
         raise SettingError("estimate", what, nearest(name, numbers))
     value = getattr(bearing.settings(), name)
     if not value:

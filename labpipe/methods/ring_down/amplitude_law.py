@@ -247,7 +247,7 @@ def over_amplitude(
 
 
 # Pairs of stretches that show what the values of one decay scatter by, and least degrees of freedom that they
-# count as, since they are held against the fit and not against their mean.
+# count as, since they are compared with the fit and not against their mean.
 FEWEST_STRETCHES, LEAST_DOF = 1, 2
 
 
@@ -506,7 +506,7 @@ def decay_findings(
         of_amplitude.append(_beating(missing, fitted.poles.size))
     explained = laws and all(law.law.p_value >= MISMATCH_P for law in laws.values())
     mismatch = () if explained else _mismatch(tested)
-    # What goes on to the end is no decay: a law over the amplitude follows a part of it.
+    # What goes on to the end is not a decay: a law over the amplitude follows a part of it.
     return (*warnings, *mismatch, *of_amplitude) if tested.goes_on else (*warnings, *of_amplitude, *mismatch)
 
 

@@ -323,7 +323,7 @@ def _check(settings: FitSettings, each: bool) -> None:
     if not settings.mass or not isinstance(settings.mass, (float, str)):
         raise SettingError("mass", "a decay takes one mass, above zero", "for example mass: 0.92 kg")
     if settings.repeat_groups and not each:
-        what = "'repeat_groups' needs several decays, of which each is fitted alone"
+        what = "'repeat_groups' needs several decays, each of which is fitted alone"
         raise SettingError("repeat_groups", what, "leave it out")
 
 

@@ -275,7 +275,7 @@ def _place(port: Port) -> int:
     name = next((name for name in (port.dof, port.label) if name in DOFS), None)
     if name is None:
         hint = f"give its dof in the rig file: {', '.join(DOFS)}"
-        raise ConfigError(f"'{port.label}' is no dof of the bearing's theory", hint=hint)
+        raise ConfigError(f"'{port.label}' is not a dof of the bearing's theory", hint=hint)
     return DOFS.index(name)
 
 

@@ -86,9 +86,9 @@ class DiscSettings(Settings):
         if self.mass is not None:
             if self.polar_inertia is None or self.transverse_inertia is None:
                 raise ConfigError("polar_inertia and transverse_inertia are needed with mass")
-            # I_p = 2 I_t of a thin disc is the most that a body can have; rounding is no fault.
+            # I_p = 2 I_t of a thin disc is the most that a body can have; rounding is not a fault.
             if self.polar_inertia > 2.01 * self.transverse_inertia:
-                raise ConfigError("polar_inertia is more than twice transverse_inertia, as of no body")
+                raise ConfigError("polar_inertia is more than twice transverse_inertia, which no body has")
             by, idle = "mass", ["inner_diameter", "length", "material"]
         for key in self.written:
             if key in idle:

@@ -16,7 +16,7 @@ from labpipe.display import plain_text
 from labpipe.distributions import chi2_tail, normal_tail
 from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
 from labpipe.estimation.measured import Measured, matrix_errors, measured_part
-from labpipe.methods.rotor.theory import LEAST_DECREMENT
+from labpipe.methods.rotor.theory import BROKEN, KEPT, LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system import build, evidence, predictions, records
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import (
@@ -37,7 +37,7 @@ from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.section import run_as_measured
 from labpipe.project.work import Work
 from labpipe.quantities import UnitError
-from labpipe.records.finding import NORMAL, Finding, note
+from labpipe.records.finding import NORMAL, NOTE, WARNING, Finding, note
 from labpipe.records.fit_details import Modes
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertain
@@ -83,10 +83,34 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
             for frequency in free_modes_of(test, work).frequency
         )
         weights, found = predictions.balance(settings, built, posterior), (*result.findings, *out_of_place)
+        if settings.standard:
+            found = (*found, *limits_of(settings.standard, result))
         return replace(result, balance=weights, measured=tuple(measured), findings=found)
     except LabpipeError as error:
         error.where = error.where or f"{work.pipeline.path}: rotor_system"
         raise
+
+
+def limits_of(standard: str, result: records.RotorSystemResult) -> Iterator[Finding]:
+    """What a rotor does not keep of a *standard* at its operating speed, by its *result*; a note where its
+    intervals do not say.
+    """
+    speed = f"at {60 * result.operating:.0f} rpm"
+    limits = [
+        (
+            f"the separation margin of the critical speed of {60 * critical.speed:.0f} rpm {speed} is "
+            f"{critical.margin[0]:.1f} %, where {critical.margin[1]:.1f} % are asked for",
+            critical.met,
+        )
+        for critical in result.criticals
+        if critical.margin is not None and critical.met is not None
+    ]
+    least, _, probability = result.decrement
+    asked = f"where more than {LEAST_DECREMENT:g} is asked for"
+    for what, kept in [*limits, (f"the least log decrement {speed} is {least:.3g}, {asked}", probability)]:
+        if (word := decision(kept)) != KEPT:
+            message = f"{standard}: {what}; kept with a probability of {100 * kept:.0f} %: {word}"
+            yield Finding("standard-limit", message, WARNING if word == BROKEN else NOTE)
 
 
 def check_counts_once(tests: Sequence[SystemTest], work: Work) -> None:
@@ -366,6 +390,7 @@ def _vectors(
         gains=built.gains[test.name],
         phases=built.phases[test.name],
         changes={built.sources[source]: by_probe(change) for source, change in run.changes().items()},
+        net=None if run.baseline is None else (run, signs * run.baseline_changes()),
     )
 
 

@@ -16,6 +16,7 @@ from labpipe.errors import FitError
 from labpipe.estimation.leakage import Leakage
 from labpipe.methods.rotor.posterior import Evidence, Residual
 from labpipe.methods.rotor_system.model import Derivatives, SystemModel
+from labpipe.methods.run_ups.records import RunUp
 
 # Lines of a response that the first steps look at, about.
 FEW_LINES = 48
@@ -205,7 +206,8 @@ class RunUpVectors:
 
     planes: (dof of y, numbers of the unknown real and imaginary unbalance). gains, phases: numbers of the
     unknowns of every probe. changes: as of Responses, (n_speed, n_probe) [m]. whitener (n_probe, n_speed,
-    n_speed): of one real component of each probe, slow roll that was subtracted in it.
+    n_speed): of one real component of each probe, slow roll that was subtracted in it. net: the run as it
+    was read, with its baseline, and `baseline_changes` at the probes, where one was subtracted.
     """
 
     kind: ClassVar[str] = "run-up"
@@ -220,6 +222,18 @@ class RunUpVectors:
     gains: tuple[int, ...] = ()
     phases: tuple[int, ...] = ()
     changes: Mapping[int, ComplexArray] = field(default_factory=dict)
+    net: tuple[RunUp, ComplexArray] | None = None
+
+    def by_baseline(self, slopes: FloatArray) -> FloatArray:
+        """J^T dr (n_speed, n_reading, n_unknown) [1 over the unknown's unit] by one standard error of each
+        reading of the baseline at each speed; *slopes* J (n_equation, n_unknown) of the residual.
+        """
+        assert self.net is not None
+        n_speed, n_probe = self.measured.shape
+        change = self.net[1].reshape(-1, n_speed, n_probe)
+        parts, by = np.stack([change.real, change.imag]), slopes.reshape(2, n_speed, n_probe, -1)
+        of_readings = np.einsum("cipu,pij,crjp->jrpu", by, self.whitener, parts, optimize=True)
+        return of_readings.reshape(n_speed, -1, by.shape[-1])
 
     def readings(
         self, model: SystemModel, values: FloatArray
@@ -284,6 +298,7 @@ class RunUpVectors:
             whitener=run_up_whitener(size, 0.0),
             added=added,
             changes={},
+            net=None,
         )
 
     @property

@@ -70,7 +70,7 @@ class Term:
     """A *block* (k, k) [SI units] of one *matrix* at *dofs* (k,), times exp(sum of the unknowns *factors*),
     times the unknown *amount*; unknowns by their numbers.
 
-    support: it is no part of the free rotor. A block may depend on the spin speed, on the unknowns *inputs*,
+    support: it is not part of the free rotor. A block may depend on the spin speed, on the unknowns *inputs*,
     and, where it *follows* that, on the frequency of the motion.
     """
 

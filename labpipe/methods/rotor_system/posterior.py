@@ -6,7 +6,7 @@ Sources: Kennedy and O'Hagan 2001 (small errors), MacKay 1992 (evidence), Hausma
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter, itemgetter
@@ -19,8 +19,16 @@ from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.descent import minimise
 from labpipe.methods.rotor.posterior import Posterior, Problem, root_of
-from labpipe.methods.rotor_system.evidence import Deflections, FreeModes, Responses, SystemEvidence
+from labpipe.methods.rotor_system.evidence import (
+    Deflections,
+    FreeModes,
+    Responses,
+    RunUpVectors,
+    SystemEvidence,
+)
 from labpipe.methods.rotor_system.model import SystemModel
+from labpipe.methods.run_ups.misfit import shared_noise
+from labpipe.records.finding import NORMAL
 
 # Shares of an amplitude that count as noise in the first steps, one after the other.
 SLACK = (1.0, 0.3, 0.1)
@@ -37,7 +45,7 @@ NEAR, MOST_STEPS = 1e-2, 40
 RESTARTS, DRAWN, RESTART_SEED = 3, 0.6, 20261126
 # Steps with noise that is enlarged by a share of the amplitudes, before the share is taken anew.
 STEPS = 4
-# Draws by which the normal approximation is held against the tests, and the excess over the number of
+# Draws by which the normal approximation is compared with the tests, and the excess over the number of
 # unknowns that it bears, in standard deviations of a median of so many; fits of randomised maximum likelihood
 # where it fails, the steps of each, and the chance of a chi-square beyond which it has lost the rotor.
 LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 20, 3.0, 60, 6, 1e-4
@@ -95,19 +103,27 @@ class SystemPosterior(Posterior[SystemModel]):
         }
 
     @cached_property
-    def spread(self) -> FloatArray:
-        """What intervals follow from, (n_unknown, n_unknown) [unit of each]: the covariance, or the mean
-        square of the refits about the values.
+    def covariance(self) -> FloatArray:
+        """V + V E V of all unknowns (n_unknown, n_unknown) [products of their units], E the `shared_noise` of
+        run-ups less one baseline.
         """
-        if self.refits is None:
-            return self.covariance
-        off = self.refits - self.values
-        return off.T @ off / len(off)
+        plain, nets = super().covariance, zip(self.tests, self.by_test, strict=True)
+        parts = (
+            (test.net[0], part)
+            for test, (_, slopes) in nets
+            if isinstance(test, RunUpVectors) and test.net is not None
+            for part in test.by_baseline(slopes)
+        )
+        return plain + plain @ shared_noise(parts, len(plain)) @ plain
 
     @property
     def standard_errors(self) -> FloatArray:
-        """(n_unknown,) [unit of each]."""
-        return np.sqrt(np.diag(self.spread))
+        """(n_unknown,) [unit of each]: of the covariance, or the root mean square of the refits about the
+        values.
+        """
+        if self.refits is None:
+            return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(np.mean((self.refits - self.values) ** 2, axis=0))
 
     @property
     def shares(self) -> FloatArray:
@@ -133,10 +149,20 @@ class SystemPosterior(Posterior[SystemModel]):
         unknowns = zip(self.model.unknowns, z, strict=True)
         return [(of.name, float(off)) for of, off in unknowns if abs(off) > 3 and not of.group]
 
-    def gradient_error(self, gradient: FloatArray) -> FloatArray:
-        """Standard errors (...,) [unit of the prediction] of predictions with *gradient* (..., n_unknown)."""
-        variance = np.einsum("...i,ij,...j->...", gradient, self.spread, gradient)
-        return np.sqrt(np.maximum(variance, 0.0))
+    def error_of(self, gradient: FloatArray, predicted: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """Standard errors (...,) [unit of the prediction], widened, of predictions with *gradient* (...,
+        n_unknown); where there are refits of what is *predicted* (...,) of each, NaN without it: the distance
+        that 95 % of them keep, over 1.96. Unknowns that the tests tell together alone go far along a bent
+        line, on which a prediction hardly changes: a gradient leaves that line.
+        """
+        variance = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
+        error = np.sqrt(np.maximum(variance, 0.0))
+        if self.refits is not None:
+            off = np.abs(np.array([predicted(values) for values in self.refits]) - predicted(self.values))
+            # Ranked, since what is not there counts as far off.
+            held = np.sort(np.nan_to_num(off, nan=np.inf), axis=0)[round(0.95 * len(off)) - 1] / NORMAL
+            error = np.where(np.isfinite(held), held, error)
+        return self.widened * error
 
     def covariance_with(self, test: SystemEvidence) -> FloatArray:
         """The covariance with one more *test*, (F + J^T J)^-1, (n_unknown, n_unknown) [unit of each]."""
@@ -262,15 +288,17 @@ def pulls(posterior: SystemPosterior) -> list[Pull]:
     residual r_t, is N(0, V_-t - V) where all is well (Hausman 1978). Equation (system-pull).
     """
     model, all_pulls = posterior.model, []
-    information, single = np.linalg.inv(posterior.covariance), model.in_group("")
+    # As the weights count tests, each by itself.
+    covariance, single = posterior.free_covariance, model.in_group("")
+    information = np.linalg.inv(covariance)
     for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
         without = np.linalg.inv(information - jacobian.T @ jacobian)
         shift = without @ jacobian.T @ residual
-        spread = np.sqrt(np.maximum(np.diag(without - posterior.covariance), 1e-30))
+        spread = np.sqrt(np.maximum(np.diag(without - covariance), 1e-30))
         # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
         z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
         worst = int(np.argmax(np.abs(z)))
-        wider = np.sqrt(np.diag(without) / np.diag(posterior.covariance))
+        wider = np.sqrt(np.diag(without) / np.diag(covariance))
         all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), wider))
     return all_pulls
 
@@ -332,12 +360,12 @@ def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]
     Unknowns that the tests tell together have shares in common, so that all of them may exceed 1. Equation
     (system-budget).
     """
-    moved = posterior.spread @ gradient
+    moved = posterior.covariance @ gradient
     whole, shares = float(gradient @ moved), {}
     names = np.array([unknown.group or unknown.name for unknown in posterior.model.unknowns])
     for name in dict.fromkeys(names.tolist()):
         at = np.flatnonzero(names == name)
-        part = np.linalg.lstsq(posterior.spread[np.ix_(at, at)], moved[at])[0]
+        part = np.linalg.lstsq(posterior.covariance[np.ix_(at, at)], moved[at])[0]
         shares[name] = float(moved[at] @ part) / whole if whole else 0.0
     return dict(sorted(shares.items(), key=lambda pair: -pair[1]))
 

@@ -21,7 +21,7 @@ from labpipe.methods.rotor.theory import AmplitudeAt, Critical, decrements, foll
 from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
-from labpipe.methods.rotor_system.model import Curve, SystemModel, orthonormal
+from labpipe.methods.rotor_system.model import Curve, Roots, SystemModel, orthonormal
 from labpipe.methods.rotor_system.posterior import SystemPosterior, normal_draws
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.records.finding import NORMAL
@@ -47,22 +47,43 @@ def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
 
 
 def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell:
-    """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order:
-    f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
+    """The Campbell diagram over ascending *speeds* (n_speed,) [Hz] with its standard errors, by first order
+    or of refits: f = Im lambda / 2 pi, delta = -2 pi Re lambda / Im lambda.
     """
-    model, w = posterior.model, posterior.widened
-    values = at_speed(model, posterior.values)
+    model = posterior.model
     each, amounts = [], []
     for speed in 2 * np.pi * speeds:
-        solution = model.roots(values, float(speed), 2 * MOST_MODES)
-        shaft = solution.shapes[: model.n_shaft].reshape(-1, 4, solution.values.size)
-        each.append(Modes(float(speed), solution.values, shaft[:, :2].transpose(2, 0, 1)))
+        solution = model.roots(at_speed(model, posterior.values), float(speed), 2 * MOST_MODES)
+        modes = _modes(model, float(speed), solution)
         slopes = np.where(model.acting(RUNNING), solution.slopes, 0.0)
-        f_error = w * posterior.gradient_error(slopes.imag) / (2 * np.pi)
-        d_error = w * posterior.gradient_error(decrement_slopes(solution.values, slopes))
-        frequency, decrement = solution.values.imag / (2 * np.pi), decrements(solution.values)
-        amounts.append((frequency, f_error, decrement, d_error, each[-1].whirl))
+        gradients = np.stack([slopes.imag / (2 * np.pi), decrement_slopes(solution.values, slopes)])
+
+        def predicted(values: FloatArray, modes: Modes = modes) -> FloatArray:
+            """f and delta of each of the *modes* (2, n_mode)."""
+            roots = model.roots(at_speed(model, values), modes.speed, 2 * MOST_MODES, slopes=False)
+            drawn = _modes(model, modes.speed, roots)
+            pairs = followed([modes, drawn], [_frequency_and_decrement(of) for of in (modes, drawn)])
+            shown = np.full((2, modes.eigenvalues.size), np.nan)
+            n = min(MOST_MODES, modes.eigenvalues.size)
+            shown[:, :n] = np.array(pairs)[:, 1, :n]
+            return shown
+
+        (frequency, decrement), errors = (
+            _frequency_and_decrement(modes),
+            posterior.error_of(gradients, predicted),
+        )
+        each.append(modes)
+        amounts.append((frequency, errors[0], decrement, errors[1], modes.whirl))
     return records.Campbell(np.asarray(speeds), *followed(each, amounts))
+
+
+def _modes(model: SystemModel, speed: float, roots: Roots) -> Modes:
+    shaft = roots.shapes[: model.n_shaft].reshape(-1, 4, roots.values.size)
+    return Modes(speed, roots.values, shaft[:, :2].transpose(2, 0, 1))
+
+
+def _frequency_and_decrement(modes: Modes) -> tuple[FloatArray, FloatArray]:
+    return modes.eigenvalues.imag / (2 * np.pi), decrements(modes.eigenvalues)
 
 
 def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float, float, FloatArray]:
@@ -70,14 +91,20 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     and its derivatives (n_unknown,) [1 over the unknown's unit]; FitError where nothing oscillates.
     """
     model = posterior.model
-    roots = model.roots(at_speed(model, posterior.values), 2 * np.pi * operating, MOST_MODES)
+
+    def roots_of(values: FloatArray) -> Roots:
+        return model.roots(at_speed(model, values), 2 * np.pi * operating, MOST_MODES)
+
+    roots = roots_of(posterior.values)
     if not roots.values.size:
         raise FitError(f"no mode of the rotor oscillates at {60 * operating:.0f} rpm")
     slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
     decrement, moved = decrements(roots.values), decrement_slopes(roots.values, slopes)
     mode = int(np.argmin(decrement))
-    error = posterior.widened * float(posterior.gradient_error(moved[mode]))
-    return float(decrement[mode]), error, moved[mode]
+    error = posterior.error_of(
+        moved[mode], lambda values: np.array(np.min(decrements(roots_of(values).values), initial=np.inf))
+    )
+    return float(decrement[mode]), float(error), moved[mode]
 
 
 def decrement_slopes(root: ComplexArray, slopes: ComplexArray) -> FloatArray:
@@ -96,7 +123,7 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
     """
     model, values = posterior.model, at_speed(posterior.model, posterior.values)
 
-    def growth(speed: float) -> float:
+    def growth(speed: float, values: FloatArray = values) -> float:
         eigenvalues = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES, slopes=False).values
         return float(np.max(eigenvalues.real, initial=-1.0)) - GROWTH_TOLERANCE
 
@@ -116,7 +143,8 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
     step = 1e-4
     rise = (growth(speed * (1 + step)) - growth(speed * (1 - step))) / (2 * step)
     slope = np.where(model.acting(RUNNING), roots.slopes[mode].real, 0.0) / rise
-    return speed, posterior.widened * float(posterior.gradient_error(slope))
+    error = posterior.error_of(slope, lambda drawn: np.array(growth(speed, at_speed(model, drawn)) / rise))
+    return speed, float(error)
 
 
 class _Reduced:
@@ -329,16 +357,20 @@ def _over_speed(
 
 def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVectors) -> records.InfluenceResult:
     """z_0 = H u and alpha = H at the speeds and probes of a *test*, with the root of their covariance: the
-    half differences over one standard deviation to either side along each axis of the posterior, which is
-    widened where intervals are.
+    half differences over one standard deviation to either side along each axis of the posterior, or the
+    differences of the refits over the root of their number; it is widened where intervals are.
     """
 
     def parts(values: FloatArray) -> FloatArray:
         return as_real(drawn_influence(built, test, values[None]).ravel())
 
-    middle = posterior.values
-    axes = root_of(posterior.spread).T
-    root = [posterior.widened * (parts(middle + step) - parts(middle - step)) / 2 for step in axes]
+    middle, w = posterior.values, posterior.widened
+    if posterior.refits is None:
+        axes = root_of(posterior.covariance).T
+        root = [w * (parts(middle + step) - parts(middle - step)) / 2 for step in axes]
+    else:
+        w /= np.sqrt(len(posterior.refits))
+        root = [w * (parts(values) - parts(middle)) for values in posterior.refits]
     turned = [f"{speed * 30 / np.pi:.0f} rpm" for speed in test.speed]
     readings = tuple(f"{_place(dof)} {rpm}" for rpm in turned for dof in test.outputs)
     planes = tuple(f"node {node}" for node in built.planes)

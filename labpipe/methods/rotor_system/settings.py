@@ -31,7 +31,7 @@ def place_of(text: str, directed: bool = True) -> tuple[int, str]:
     match = _PLACE.match(text)
     if match is None or bool(match["direction"]) != directed:
         hint = "write 3 y" if directed else "write 3, the node"
-        raise UnitError(f"'{text}' is no place on the rotor", hint)
+        raise UnitError(f"'{text}' is not a place on the rotor", hint)
     return int(match["node"]), match["direction"] or ""
 
 
@@ -47,7 +47,7 @@ class SystemTest(Settings):
     )
     fit: str = text(
         "modes: a modal fit of this pipeline, of the rotor on soft strings; response: one of this FRF, whose "
-        "natural frequencies are held against those of the free rotor"
+        "natural frequencies are compared with those of the free rotor"
     )
     frequencies: tuple[str, ...] = setting(
         "names", "in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]", default=()
@@ -141,7 +141,7 @@ class SystemTest(Settings):
         for path, stated in self.deflections:
             output, mark, force = path.partition("/")
             if not mark:
-                raise UnitError(f"'{path}' is no pair of places", "write 5 z / 10 z")
+                raise UnitError(f"'{path}' is not a pair of places", "write 5 z / 10 z")
             number, places = parse_uncertain(stated, "m/N"), (place_of(output), place_of(force))
             if number.std_error <= 0:
                 raise UnitError(f"'{stated}' needs its uncertainty", f"write {stated} +- 2 %")
@@ -167,6 +167,10 @@ class SystemTest(Settings):
         if number.std_error <= 0 or number.value <= 0:
             raise UnitError(f"'{text}' needs an uncertainty, and is above zero", "write 111.3 Hz +- 0.1 Hz")
         return number
+
+
+# Separation margins and the logarithmic decrement of level I.
+API = "API 617"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,6 +201,12 @@ class RotorSystemSettings(Settings):
         unit="Hz",
         default=(),
     )
+    standard: str = setting(
+        "choice",
+        "whose limits at the rotor file's speed are findings where they are not kept; default: of none",
+        choices=(API,),
+        default="",
+    )
     draws: int = setting("integer", "draws of the posterior for critical speeds and weights", default=200)
     seed: int = setting("integer", "of these draws", default=1)
     system: RotorSystem | None = None
@@ -217,6 +227,9 @@ class RotorSystemSettings(Settings):
                 hint = f"write numbers with their uncertainty, or estimate: [{', '.join(ESTIMATED)}]"
                 raise SettingError("rotor", "nothing of the rotor is unknown", hint)
             self._check_places(self.system)
+            if self.standard and self.system.rig.speed <= 0:
+                what = f"{self.standard} limits what a rotor does at its speed, and the rotor file has none"
+                raise SettingError("standard", what, "write speed: 4200 rpm in the rotor file")
 
     def _check_tests(self) -> None:
         if not self.tests:

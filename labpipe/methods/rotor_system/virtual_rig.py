@@ -60,7 +60,7 @@ class RotorTestRig(Settings):
         self.require_not_negative("acceleration_noise", "force_noise", "probe_noise", "gain")
         n = self.sample_rate / self.spacing
         if abs(n - round(n)) > 1e-6 * n:
-            raise SettingError("spacing", f"a period of {n:.6g} samples is no whole number of them")
+            raise SettingError("spacing", f"a period of {n:.6g} samples is not a whole number of them")
         if self.periods < 2:
             raise SettingError("periods", "at least two periods are needed")
         if not self.lines.size or self.lines[0] < 1:

@@ -57,15 +57,9 @@ class ExcitedRun:
         of the baseline, along and across it, between two in their shares; *slopes* J (n_speed, n_equation,
         n_parameter) [1/parameter unit].
         """
-        base = self.run.baseline
-        assert base is not None
-        shares = [np.interp(self.run.speed, base.speed, reading) for reading in np.eye(base.n_speed)]
-        unit = base.response / np.abs(base.response)
-        errors = np.array([unit * base.amplitude_error, 1j * base.response * base.phase_error])
-        change = np.array(shares)[..., None] * errors.reshape(2, base.n_speed, 1, -1)
         # Every output by itself: its two equations are apart.
         n_speed, n_output = self._measured.shape
-        weighted = self._weight(change).reshape(2, -1, n_speed, 2, n_output)
+        weighted = self._weight(self.run.baseline_changes()).reshape(2, -1, n_speed, 2, n_output)
         by = slopes.reshape(n_speed, 2, n_output, -1)
         return np.einsum("prnco,ncof->nprof", weighted, by).reshape(n_speed, -1, by.shape[-1])
 

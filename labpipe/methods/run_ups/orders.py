@@ -251,7 +251,7 @@ def track_run(
     run = TrackedRun(recording.name, tuple(recording.channels), track, circles, clearance)
     if clearance is not None and (run.quantity != "displacement" or not circles):
         hint = "two displacements in known directions (dof: x and y, or front.x and front.y) are needed"
-        raise ConfigError("--gap: no orbit to hold against the gap", source, hint)
+        raise ConfigError("--gap: no orbit to compare with the gap", source, hint)
     return run
 
 

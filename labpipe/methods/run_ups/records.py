@@ -103,6 +103,17 @@ class RunUp:
         if bool(self.unbalance) == (self.shaker is not None):
             raise DataError(f"run '{self.name}' needs either an unbalance or a shaker, and not both")
 
+    def baseline_changes(self) -> ComplexArray:
+        """Change (2, n_reading, n_speed, n_output) [m] of the response by one standard error of each reading
+        of the baseline, along and across it, read between its speeds in their shares.
+        """
+        base = self.baseline
+        assert base is not None
+        shares = [np.interp(self.speed, base.speed, reading) for reading in np.eye(base.n_speed)]
+        unit = base.response / np.abs(base.response)
+        errors = np.array([unit * base.amplitude_error, 1j * base.response * base.phase_error])
+        return np.array(shares)[..., None] * errors.reshape(2, base.n_speed, 1, -1)
+
     def changes(self) -> dict[str, ComplexArray]:
         """Change (n_speed, n_plane, 2) [m] of the response by one standard uncertainty of every source."""
         omega = self.speed if self.shaker is None else self.shaker.frequency_ratio * self.speed

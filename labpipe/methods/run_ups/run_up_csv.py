@@ -279,7 +279,7 @@ _RUN_UP = re.compile(r"^# *load *:", re.MULTILINE)
 
 
 def run_up_in(path: Path) -> RunUp | None:
-    """The run-up of a file, None where it is no run-up table."""
+    """The run-up of a file, None where it is not a run-up table."""
     with path.open(encoding="utf-8-sig", errors="replace") as stream:
         head = stream.read(HEAD)
     return read_run_up_csv(path) if _RUN_UP.search(head) else None

@@ -176,7 +176,7 @@ def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: Comp
         return rule.outcome(*compare_warnings(rule, result.findings))
     match = _ADDRESS.match(rule.item)
     if match is None:
-        raise rule.fault("is no address", "write run_ups.joint[held-out].critical_speed")
+        raise rule.fault("is not an address", "write run_ups.joint[held-out].critical_speed")
     address = _Address(*(part or "" for part in match.groups()))
     names = [run.name for run in result.runs]
     if address.run and address.run not in names:

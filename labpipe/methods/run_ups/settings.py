@@ -175,7 +175,9 @@ class ProbeSettings(Settings):
             try:
                 numbers[name] = parse_uncertain(f"{value} +- {text}", unit) if text else None
             except UnitError as error:
-                raise SettingError(name, f"'{text}' is no uncertainty: {error.what}", error.hint) from None
+                raise SettingError(
+                    name, f"'{text}' is not an uncertainty: {error.what}", error.hint
+                ) from None
         object.__setattr__(self, "uncertainties", ProbeUncertainties(**numbers))
 
 

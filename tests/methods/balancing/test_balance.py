@@ -475,11 +475,11 @@ def test_faults_have_their_line_and_no_followers(labpipe, tmp_path):
     (tmp_path / "b.yaml").write_text("noise: 1 mm/s\n" + EXAMPLE.read_text())
     assert "b.yaml:1:1: noise: 'mm/s' has the wrong dimension" in labpipe("balance", tmp_path / "b.yaml").err
     ended = labpipe("balance", EXAMPLE, "--set", "runs.1.readings={A: 6 um}")
-    assert ended.code == 2 and "is no vector" in ended.err and "are missing" not in ended.err
+    assert ended.code == 2 and "is not a vector" in ended.err and "are missing" not in ended.err
 
 
 def test_one_reading_says_nothing_of_the_unbalance_in_two_planes(labpipe, tmp_path):
-    """z = alpha_1 u_1 + alpha_2 u_2 has a solution for every u_2: no grade can be held against it."""
+    """z = alpha_1 u_1 + alpha_2 u_2 has a solution for every u_2: no grade can be compared with it."""
     tree = yaml.safe_load(EXAMPLE.read_text())
     for run in tree["runs"]:
         del run["readings"]["B"]
@@ -489,7 +489,7 @@ def test_one_reading_says_nothing_of_the_unbalance_in_two_planes(labpipe, tmp_pa
     graded = {**tree, "mass": "3 kg", "speed": "3000 rpm", "grade": "2.5 mm/s"}
     (tmp_path / "b.yaml").write_text(yaml.safe_dump(graded))
     ended = labpipe("balance", tmp_path / "b.yaml")
-    assert ended.code == 2 and "grade: 1 reading(s) do not tell the unbalance in 2 planes" in ended.err
+    assert ended.code == 2 and "grade: 1 reading(s) do not determine the unbalance in 2 planes" in ended.err
     assert "b.yaml:1:" in ended.err, ended.err
 
 

@@ -180,7 +180,7 @@ def test_intervals_hold_with_the_uncertainty_of_given_numbers_and_not_without() 
         and np.min(np.mean(held, axis=0)) > 0.91
         and np.max(np.mean(held, axis=0)) < 0.985
     )
-    # Numbers that are off within their uncertainty are no fault of the form.
+    # Numbers that are off within their uncertainty are not a fault of the form.
     assert np.mean(np.array(chances) < 0.01) <= 0.025
     direct = [0, 3, 8, 11]
     assert np.max(np.mean(ignoring, axis=0)[direct]) < 0.6

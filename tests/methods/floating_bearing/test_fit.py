@@ -202,7 +202,7 @@ def test_a_baseline_that_is_not_its_form_brings_its_excess_too() -> None:
 
 
 def test_a_baseline_holds_in_its_band() -> None:
-    """One line beyond it is no extrapolation, two are."""
+    """One line beyond it is not an extrapolation, two are."""
     lines = drawn(RIG).frequency
     keys = {"motion": "absolute", "stator_mass": "60 kg"}
     dry = replace(fitted(drawn(RIG.dry()), band=(lines[2], lines[-3]), **keys), name="dry")
@@ -425,7 +425,7 @@ def test_what_does_not_fit_is_refused(keys: dict[str, object], error: type[Excep
 
 @pytest.mark.parametrize("estimator", ["ml", "ls"])
 def test_a_line_at_rest_is_refused(estimator: str) -> None:
-    """Z_b / w^2 of the baseline is no number at 0 Hz."""
+    """Z_b / w^2 of the baseline is not a number at 0 Hz."""
     spectra = drawn()
     at_rest = replace(spectra, frequency=np.append(0.0, spectra.frequency[1:]))
     with pytest.raises(FitError, match="nothing moves at 0 Hz"):
@@ -630,7 +630,7 @@ def test_a_common_gain_error_of_the_probes_scales_all_coefficients() -> None:
     )
     main = [0, 1, 2, 3, 4, 7, 8, 11]
     assert np.unique(np.sign(uncertainty.changes[0][main] * values(fit)[main])).size == 1
-    # A scale of everything is no fault of the form: chi-square stays.
+    # A scale of everything is not a fault of the form: chi-square stays.
     assert fit.gof.chi2_reduced == pytest.approx(fitted(spectra, **GIVEN).gof.chi2_reduced, rel=1e-3)
 
 

@@ -43,8 +43,9 @@ from labpipe.methods.live.sources import (
 )
 from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
-from labpipe.records.recording import Channel
+from labpipe.records.recording import Channel, Recording
 from labpipe.report.document import Document, Paragraph, Section
+from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from tests.conftest import Command, Ended
 from tests.draws.stops import RATE as TURNS_RATE, RIGS, SOUND, TRUTH
@@ -151,7 +152,7 @@ def test_goals_of_the_pipeline_end_a_test_and_the_run_says_when(bench, follow, l
     assert "Course of the test" in (bench / "out" / "report.md").read_text()
     (bench / "pipeline.yaml").write_text(PIPELINE + "live: {until: [s.c>=5]}\n")
     refused = labpipe("live", bench / "pipeline.yaml", bench / "test.csv")
-    assert refused.code == 2 and "is no rule on a width" in refused.err
+    assert refused.code == 2 and "is not a rule on a width" in refused.err
 
 
 @pytest.mark.parametrize("estimator", ["ml", "ls"])
@@ -358,6 +359,37 @@ def test_periods_of_recordings_count_as_if_their_phase_were_known(seed):
         error = standing.parameter.std_error
         assert abs(last[0][name].parameter.value - standing.parameter.value) < 0.02 * error
         assert last[0][name].parameter.std_error == pytest.approx(error, rel=0.02)
+
+
+@pytest.mark.parametrize("excluded", [(), ("49-51 Hz",)])
+def test_noise_of_a_hammer_is_taken_off_as_in_a_run(rng, excluded):
+    """Noise of 1 % of the peak over 1.9 s is (1 - 1/6) n s^2 / |U|^2 of H, 1.3 %: live and run say the same H
+    of the same samples, and it is the true one within 2.5 standard errors of the median line.
+    """
+    n, hits, rate = 4000, 6, 2000.0
+    force, w = np.zeros(hits * n + 400), 2 * np.pi * np.fft.rfftfreq(4 * hits * n, 1 / rate)
+    for hit in range(hits):
+        force[100 + hit * n + hit :][:9] = 100 * np.sin(np.pi * np.arange(9) / 8)
+    h = 1 / (4e5 + 300j * w - 10 * w**2)
+    moved = np.fft.irfft(np.fft.rfft(force, 4 * hits * n) * h, 4 * hits * n)[: force.size]
+    noise = np.array([1.0, 1e-4 * np.max(np.abs(moved))]) * rng.normal(size=(force.size, 2))
+    channels = (Channel("f", "force", "input", "x"), Channel("y", "displacement", "output", "x"))
+    record = Recording(channels, np.column_stack([force, moved]) + noise, rate, "hits")
+    frf = FrfSettings("impact", block=1.9, band=(10, 60), exclude=excluded)
+    bench = Bench(channels, rate, frf, [FitSettings("sdof", name="s", mass=10.0)])
+    bench.add(record.samples)
+    ran, live = measure([record], frf), bench.fits[0].response()
+    np.testing.assert_allclose(live.matrix, ran.matrix, rtol=1e-9)
+    share = round(1.9 * rate) * 1.0**2 / np.abs(np.fft.rfft(force[:n]))[20] ** 2
+    error = np.sqrt(np.pi / 2 * share / (2 * hits * live.n_frequency))
+    assert 2.5 * error < (1 - 1 / hits) * share
+    exact = 1 / (4e5 + 300j * (w := 2 * np.pi * live.frequency) - 10 * w**2)
+    assert np.median((live.matrix[:, 0, 0] / exact).real) == pytest.approx(1, abs=2.5 * error)
+    said = [
+        next(f for f in of if f.code == "force-noise").message
+        for of in (bench.updates[-1].findings, ran.findings)
+    ]
+    assert all("taken off" in message for message in said)
 
 
 @pytest.mark.long
@@ -707,7 +739,7 @@ def test_decays_that_fall_into_a_folder_are_repeats(bench, follow):
 
 
 def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
-    """`zeta_1` is no coefficient of the fit that is followed, so the goal waits for the modal one."""
+    """`zeta_1` is not a coefficient of the fit that is followed, so the goal waits for the modal one."""
     rng = np.random.default_rng(2)
     push = np.zeros(2 * N)
     push[100:104] = [20.0, 50.0, 50.0, 20.0]

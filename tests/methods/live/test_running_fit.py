@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labpipe.estimation.model import DynamicModel, entry_term, fixed_matrices
+from labpipe.estimation.model import DynamicModel, Equation, entry_term, fixed_matrices
 from labpipe.methods.live.charts import (
     Charts,
     cusum_limit,
@@ -18,7 +18,6 @@ from labpipe.methods.live.charts import (
 )
 from labpipe.methods.live.running_fit import (
     Directions,
-    Equation,
     HitCutter,
     HitSums,
     PeriodCutter,
@@ -148,16 +147,20 @@ def test_noise_of_the_force_follows_the_response_and_makes_it_low():
     z = np.stack([np.tile(H, (n, 1)), np.ones((n, N_LINE))], axis=2).astype(complex)
     size = np.array([0.5 * force * np.mean(np.abs(H)), force])
     z += size * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape)) / np.sqrt(2)
-    sums = HitSums()
+    sums, more = HitSums(), HitSums()
     for average in z:
         sums.add(average[:, None])
+        sums.add_noise(np.full(N_LINE, 1e-3 * force**2))
+        more.add(average[:, None])
+        more.add_noise(np.full(N_LINE, force**2))
     right = (size[0] ** 2 + np.abs(H) ** 2 * force**2) / sums.force_power[:, 0]
     ratio = sums.covariance()[:, 0, 0, 0].real / right
     # Each is the mean of 15 x 99 squares.
     np.testing.assert_allclose(ratio, 1.0, atol=0.15)
-    (finding,) = sums.findings("s", force**2)
-    assert "makes H low by 0.04 % (median" in finding.message
-    assert sums.findings("s", 1e-3 * force**2) == []
+    (finding,) = more.findings("s")
+    assert "makes H low by 0.04 % (median" in finding.message and "taken off" in finding.message
+    np.testing.assert_allclose(more.mean[..., 0] / sums.mean[..., 0], 1 + 0.99 * force**2, rtol=2e-5)
+    assert sums.findings("s") == []
 
 
 def test_a_period_of_another_level_of_noise_is_a_jump_and_a_drift_a_change():
@@ -339,3 +342,22 @@ def test_the_transient_of_another_direction_is_dropped():
     x, y = (1.0, 0.05), (0.05, 1.0)
     assert kept([x, x, x, y, y, y, x, y, x, x, y, y]) == [1, 2, 4, 5, 7, 8, 9, 11]
     assert kept([(1.0, 0.99), (1.0, 0.98), (0.99, 1.0), (1.0, 0.98), (1.0, 0.99)]) == [1, 2, 3, 4]
+
+
+def test_forces_at_once_are_directions_by_their_proportion(rng):
+    """Two shakers at once, then one of them reversed, then as at first but elsewhere in the period:
+    directions 0, 1 and 0, with the phases that each had first. By the strongest force all were one
+    direction, whose mean the second part contradicts.
+    """
+    n, settings = 128, FrfSettings("periodic", period=1.0, skip=0, band=(2, 60))
+    channels = tuple(Channel(f"f{dof}", "force", "input", dof) for dof in "xy")
+    x, y = rng.standard_normal((2, n))
+    cutter, found = PeriodCutter((*channels, Channel("y", "displacement", "output", "y")), n, settings), []
+    for sign, shift in ((1, 0), (-1, 0), (1, 31)):
+        period = np.roll(np.column_stack([x, sign * y, x + 2 * sign * y]), shift, axis=0)
+        noise = 0.05 * rng.standard_normal((3 * n, 3))
+        cutter.restart()
+        found += list(cutter.add(np.tile(period, (3, 1)) + noise))
+    assert [average.direction for average in found] == [0, 0, 0, 1, 1, 1, 0, 0, 0]
+    first, again = (np.mean([a.amplitude for a in found[at : at + 3]], axis=0) for at in (0, 6))
+    np.testing.assert_allclose(again, first, atol=0.05)

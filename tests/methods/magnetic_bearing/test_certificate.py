@@ -421,7 +421,7 @@ def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None
 
 
 def test_magnets_that_outgrow_all_numbers_are_refused() -> None:
-    """exp(T sqrt(k / m)) = exp(2.8e10) of an interval T = 50 us is no number."""
+    """exp(T sqrt(k / m)) = exp(2.8e10) of an interval T = 50 us is not a number."""
     with pytest.raises(FitError, match="the loop outgrows all numbers"):
         certificate(asked(), response(None, 1e-5), replace(FILE, negative_stiffness=2e28))
 

@@ -43,7 +43,8 @@ def test_without_it_nothing_is_accepted(root: Path, tmp_path: Path, labpipe) -> 
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("[f_x, r_y]", "'f_x' is a force of the FRF"), ("[r_x, r_z]", "'r_z' is no channel")]
+    ("name", "said"),
+    [("[f_x, r_y]", "'f_x' is a force of the FRF"), ("[r_x, r_z]", "'r_z' is not a channel")],
 )
 def test_a_reference_that_is_none_is_refused(
     name: str, said: str, root: Path, tmp_path: Path, labpipe

@@ -257,7 +257,7 @@ def test_discrete_and_coupled_systems_are_taken() -> None:
         ControlLoop(controller=system)
     with pytest.raises(ConfigError, match="no sampling time"):
         matrix_of(SimpleNamespace(num=[1.0], den=[1.0, 2.0], dt=True))
-    with pytest.raises(ConfigError, match="no transfer function"):
+    with pytest.raises(ConfigError, match="not a transfer function"):
         matrix_of(SimpleNamespace(dt=None))
 
 
@@ -331,7 +331,7 @@ HEAD = "kind: magnetic-bearing\nmass: 65 g\nfrequency: 50 Hz\nnegative_stiffness
             "  controller: [{form: low-pass, frequency: 1 kHz, damping: 0.3}]\n",
             r"6:51: .*damping: is for a low-pass of order 2",
         ),
-        ("  controller: [{form: roots, zeros: [ten]}]\n", r"6:30: .*'ten' is no root"),
+        ("  controller: [{form: roots, zeros: [ten]}]\n", r"6:30: .*'ten' is not a root"),
         ("  controller: [{form: polynomial, numerator: [1], denominator: [0]}]\n", r"6:51: .*is zero"),
         ("  proportional: 2\n  controller: [{form: gain}]\n", r"6:3: loop.proportional: belongs to the PID"),
         ("  cross: {xy: [{form: gain}]}\n", r"6:3: loop.cross: needs the element x by x"),
@@ -374,7 +374,7 @@ def test_entries_of_blocks_can_be_unknowns() -> None:
     assert with_unknowns(file, {"controller.2.frequency": 310.0}).loop.controller[1].frequency == 310.0
     for name, message in (
         ("controller.3.frequency", "no block"),
-        ("controller.2.form", "no number of a block"),
+        ("controller.2.form", "not a number of a block"),
         ("controller.1.zero", "give it as zero of block 1 of the controller"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -77,7 +77,7 @@ def test_intervals_hold_the_true_values_in_95_of_100_cases(averages: int, rng: n
     """Gap and delay over 60 noises, the support drawn within its uncertainty; from 5 periods the noise
     itself is estimated.
 
-    The count of each unknown is held against the binomial distribution of 95 % at 1 in 200 (80 % are seen in
+    The count of each unknown is compared with the binomial distribution of 95 % at 1 in 200 (80 % are seen in
     87 of 100), its errors in standard errors within three deviations of their root mean square.
     """
     file = bearing("hmb-geometry")

@@ -1,7 +1,7 @@
-"""Uncertainties of channels, of the mass and of the support in comparisons of control loops, held against
+"""Uncertainties of channels, of the mass and of the support in comparisons of control loops, compared with
 comparisons that are repeated.
 
-Every change by a source is held against the same comparison on data that are off by a thousandth of its
+Every change by a source is compared with the same comparison on data that are off by a thousandth of its
 standard uncertainty to either side, by the factors X (1 - d), X e^{jwd}, X e^{jd} themselves, nothing of the
 propagation used. The data themselves have no noise, though they state some, so that Gauss-Newton neglects
 nothing.

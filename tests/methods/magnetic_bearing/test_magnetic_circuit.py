@@ -107,8 +107,8 @@ def test_inferred_pole_area_gives_both_factors_back() -> None:
         Magnet(turns=180, gap=0.45e-3, pole_area=area, coercivity=source, magnet_length=1.0)
     )
     assert (factors.force_per_current, factors.negative_stiffness) == pytest.approx((5.8, 33106.0), rel=1e-9)
-    # 2.8 mm^2 with 1.3 T is no pole of this size: the printed stiffness and the printed force-current factor
-    # do not fit one geometry.
+    # 2.8 mm^2 with 1.3 T is not a pole of this size: the printed stiffness and the printed force-current
+    # factor do not fit one geometry.
     assert area == pytest.approx(2.81e-6, rel=2e-3)
 
 

@@ -131,7 +131,7 @@ def test_what_is_missing_or_said_twice_is_refused(change: dict[str, float | None
 def test_inferred_entries_are_told_and_must_be_entries() -> None:
     assert "neither published nor measured: lag, gap" in replace(FILE, inferred=("lag", "gap")).assumptions()
     assert "neither published" not in FILE.assumptions()
-    with pytest.raises(ConfigError, match="'lagg' is no entry"):
+    with pytest.raises(ConfigError, match="'lagg' is not an entry"):
         replace(FILE, inferred=("lagg",))
 
 

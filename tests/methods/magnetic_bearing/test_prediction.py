@@ -148,7 +148,7 @@ def test_tests_under_several_gains_are_predicted_each_by_its_own(rng: np.random.
     [
         ({"parameter": "k_yy"}, "no 'k_yy'"),
         ({"parameter": "m"}, "no 'm'"),
-        ({"estimate": ("gab",)}, "'gab' is no unknown"),
+        ({"estimate": ("gab",)}, "'gab' is not an unknown"),
     ],
 )
 def test_what_cannot_be_predicted_is_said(settings: dict[str, object], message: str) -> None:

@@ -78,7 +78,7 @@ def test_matrices_do_what_the_block_diagram_does(rng: np.random.Generator) -> No
 
 @pytest.mark.parametrize("delay", [25e-6, 75e-6, 230e-6])
 def test_two_directions_without_a_cross_term_have_the_poles_of_one_twice(delay: float) -> None:
-    """Of the loop of one direction, whose matrices are held against the block diagram.
+    """Of the loop of one direction, whose matrices are compared with the block diagram.
 
     Up to four samples wait for their turn.
     """

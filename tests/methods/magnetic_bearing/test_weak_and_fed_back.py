@@ -1,5 +1,5 @@
-"""What is no injection, and what is too weak to be one: from raw files of a rig of its own with k_i = 120 N/A
-and k_s = -420 kN/m.
+"""What is not an injection, and what is too weak to be one: from raw files of a rig of its own with k_i =
+120 N/A and k_s = -420 kN/m.
 """
 
 from __future__ import annotations

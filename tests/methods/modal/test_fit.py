@@ -17,14 +17,17 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.fit import mismatch, modal_findings
 from labpipe.methods.modal.likelihood import Lines
 from labpipe.methods.modal.model_error import phase_collinearity
-from labpipe.methods.modal.poles import kept_modes, refine_with_terms
+from labpipe.methods.modal.poles import kept_modes, refine_with_terms, shape_p
 from labpipe.methods.modal.report import modal_blocks, modes_table
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
+from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.report.document import Figure
 from labpipe.report.fits import single_fit_blocks
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
 from tests.methods.modal.structures import (
     BEAM_DAMPING,
     BEAM_FREQUENCIES,
@@ -534,3 +537,46 @@ def test_the_error_of_a_shape_is_that_of_the_quotient_of_two_points() -> None:
     np.testing.assert_allclose(
         np.sort(modes.shape_std_errors[:, 0]), [0.0, np.sqrt(2) * amplitude / abs(residue)], rtol=1e-3
     )
+
+
+@pytest.mark.parametrize(
+    ("seed", "zeta", "seconds", "level"),
+    [((1, 41), 0.01, 120, 0.05), ((1, 43), 0.005, 240, 0.05), ((2, 1), 0.005, 120, 0.1)],
+    ids=["a pole that wanders to noise", "one pole twice", "two poles on one mode"],
+)
+def test_random_data_of_one_mode_have_no_pole_of_noise(
+    seed: tuple[int, int], zeta: float, seconds: int, level: float
+) -> None:
+    """A mode of 66.3 Hz, 2.7 or 5.3 lines wide, driven by white noise; responses by its receptance over the
+    whole record. A window makes two poles of it, of which noise took one, or each hid the other.
+    """
+    rng, rate = np.random.default_rng(seed), 512
+    n = seconds * rate
+    w, w_n = 2 * np.pi * np.fft.rfftfreq(2 * n, 1 / rate), 2 * np.pi * 66.3
+    force = rng.normal(size=2 * n)
+    motion = np.fft.irfft(np.fft.rfft(force) / (w_n**2 - w**2 + 2j * zeta * w_n * w), 2 * n)
+    force, motion = force[n // 2 : n // 2 + n], motion[n // 2 : n // 2 + n]
+    motion = motion + level * motion.std() * rng.normal(size=n)
+    channels = Channel("f", "force", "input", "x", 0.0), Channel("y", "displacement", "output", "x", 0.0)
+    recording = Recording(channels, np.column_stack([force, motion]), float(rate), "run")
+    response = measure([recording], FrfSettings("random", block=4.0, band=(20.0, 150.0)))
+    fit = modal(response, band=(45.0, 90.0))
+    assert [p.name for p in fit.parameters if p.unit == "Hz"] == ["f_n_1"]
+    assert within(fit, "f_n_1", 66.3) and within(fit, "zeta_1", zeta)
+
+
+@pytest.mark.parametrize(("decay", "places"), [(0.1, 200), (2.5, 10), (60.0, 1)])
+@pytest.mark.parametrize("shared", [1.0, 2.0])
+def test_a_mode_must_stand_out_of_all_places_of_the_band(decay: float, places: int, shared: float) -> None:
+    """Chi-square of 2 degrees of freedom is beyond x with exp(-x / 2); 201 lines hold 200 poles sharper than
+    a line, or 10 that are 20 lines wide.
+    """
+    shape, error = 3 + 4j, 0.8
+    refined = SimpleNamespace(
+        poles=np.array([-decay + 100j]),
+        shapes=np.array([[shape]]),
+        shape_covariance=error**2 * np.eye(2)[None],
+    )
+    lines = Lines(0.25 * np.arange(201) + 80, np.zeros((201, 1, 1), complex), 0, np.ones(201), shared=shared)
+    by_itself = np.exp(-(abs(shape) ** 2) / error**2 / 2 / shared)
+    assert shape_p(refined, lines) == pytest.approx([min(1.0, by_itself * places)])

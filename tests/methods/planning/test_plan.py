@@ -17,7 +17,7 @@ from labpipe.methods.planning.plan_file import PlanFile, plan_files
     ("error", "message"),
     [
         (ConfigError("must be above zero", field="mass"), "lab/plan.yaml: plan.mass: must be above zero"),
-        (ConfigError("is no plan"), "lab/plan.yaml: is no plan"),
+        (ConfigError("is not a plan"), "lab/plan.yaml: is not a plan"),
         (DataError("cannot be read"), "lab/plan.yaml: cannot be read"),
         # A file that the plan names says itself where its fault is.
         (

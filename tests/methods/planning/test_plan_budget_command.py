@@ -258,7 +258,7 @@ def check_words(ended: Ended, plan: Plan, folder: Path) -> None:
         (
             {},
             {"channels": {**PEDESTAL_RIG["channels"], "a": {"quantity": "acceleration", "dof": "y"}}},
-            "a is no response that this model",
+            "a is not a response that this model",
         ),  # type: ignore[dict-item]
         ({**ROTOR, "scheme": "together"}, ROTOR_RIG, "the rig has one force"),
         (

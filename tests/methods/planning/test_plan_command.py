@@ -316,7 +316,7 @@ def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Pat
     ("changes", "message"),
     [
         ({"shakers": ["45 deg"]}, "determines 4 of 8 coefficients"),
-        ({"shakers": ["up"]}, "'up' is no direction"),
+        ({"shakers": ["up"]}, "'up' is not a direction"),
         ({"duration": "0.5 s", "band": "60-80 Hz"}, "a duration of"),
         ({"goal": {"k_zz": "2 %"}}, "the model has no coefficient k_zz"),
         ({"mass": "0.92 N"}, "wrong dimension"),

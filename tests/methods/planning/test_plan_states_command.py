@@ -93,7 +93,7 @@ def test_viscosity_and_clearance_change_what_the_speed_changes(tmp_path: Path) -
     ("changes", "message"),
     [
         ({"bearing": str(BEARINGS / "nsk-6208.yaml")}, "a file of a ball-bearing has no 'load'"),
-        ({"estimate": ["colour"]}, "'colour' is no number of a journal-bearing"),
+        ({"estimate": ["colour"]}, "'colour' is not a number of a journal-bearing"),
         ({"duration": "60 s"}, "2 kinds of runs"),
         ({"goal": {"m_xx": "1 %"}}, "no m_xx is predicted"),
         ({"noise": None}, "one of 'noise' and 'noise_density' is needed"),

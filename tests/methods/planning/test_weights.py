@@ -1,4 +1,4 @@
-"""Errors of labpipe's own fits where periods tell the noise, over the prediction with known noise: simulated
+"""Errors of labpipe's own fits where periods give the noise, over the prediction with known noise: simulated
 tests from samples to fits.
 """
 

@@ -15,9 +15,11 @@ from labpipe.methods.rotor.theory import margin_above, margin_below, peaks
 from labpipe.methods.rotor_system import posterior
 from labpipe.methods.rotor_system.build import PEDESTALS, SmallErrors, build
 from labpipe.methods.rotor_system.evaluate import TELLING, findings_of
-from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order
+from labpipe.methods.rotor_system.evidence import FreeModes, out_of_order, run_up_whitener
 from labpipe.methods.rotor_system.model import SystemModel, Unknown
 from labpipe.methods.rotor_system.posterior import (
+    SystemPosterior,
+    SystemProblem,
     budget,
     common_changes,
     explanations,
@@ -34,7 +36,8 @@ from labpipe.methods.rotor_system.predictions import (
     onset,
     unbalance_forces,
 )
-from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, system, true_values
+from labpipe.methods.run_ups.records import RunUp
+from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up, system, true_values
 
 
 @pytest.fixture(scope="module")
@@ -301,6 +304,74 @@ def test_a_posterior_that_is_not_normal_is_fitted_to_moved_data() -> None:
     assert np.array_equal(by_fits.draws(5), by_fits.refits[:5])
     excess, bearable = normality(found)
     assert 0 < excess < bearable
+
+
+@dataclass(frozen=True)
+class Product:
+    """One reading of x y with noise: x and y are far less known than their product, along a hyperbola."""
+
+    reading: float
+    noise: float
+    name: str = "product"
+
+    def residual(self, _model, values):
+        x, y = values
+        return np.array([(self.reading - x * y) / self.noise]), lambda: -np.array([[y, x]]) / self.noise
+
+    def loosened(self, _model, _values, _share):
+        return self
+
+
+def test_what_unknowns_tell_together_is_as_well_known_as_it_was_read() -> None:
+    """x y = 1.2 with noise of .01 under priors of 1 and .4: the product is known to .01, by its reading. The
+    spread of x and y by the slopes in their middle makes it (x - y)^2 / 4 more, as the hyperbola bends.
+    """
+    x, y = (Unknown(name, 0.4, mean=1.0, unit="kg.m") for name in "xy")
+    found = fit_system(SystemModel((x, y), (), 0, 0), [Product(1.2, 0.01)])
+    by_fits = refit(found)
+    off = by_fits.refits - by_fits.values
+    slope = by_fits.values[::-1]
+    assert np.sqrt(np.mean((off @ slope) ** 2)) > 0.05
+    known = by_fits.error_of(slope, lambda values: np.array(values[0] * values[1]))
+    # The 95 % quantile of 60 has a standard deviation of a sixth.
+    assert known == pytest.approx(0.01, rel=0.5)
+    assert replace(by_fits, widened=1.5).error_of(slope, lambda v: v[:1] * v[1:]) == 1.5 * known
+
+
+def test_run_ups_less_one_baseline_share_its_noise() -> None:
+    """A closed form: of n equal runs less one run, all of one noise, the mean has (1 + 1/n) of its variance
+    and not 2/n, so that V becomes V + V (n - 1)/2 (V^-1 - P) V beside a prior of information P.
+    """
+    n, of, rng = 4, built(), np.random.default_rng(8)
+    speed, noise = np.linspace(80.0, 200.0, 9), 2e-7
+    vectors = 1e-5 * (rng.standard_normal((9, 2, 2)) + 1j * rng.standard_normal((9, 2, 2)))
+    error = np.full(vectors.shape, noise / np.sqrt(2))
+    before = RunUp(
+        "before", 100.0, speed, ("front", "back"), vectors,
+        unbalance={"front": 0j}, amplitude_error=error, phase_error=error / np.abs(vectors),
+    )  # fmt: skip
+    less = replace(before, baseline=before)
+    alone = replace(
+        run_up(of, speed * 30 / np.pi), whitener=run_up_whitener(np.full((4, speed.size), noise), 0.0)
+    )
+    values = true_values(of)
+
+    def covariance(*runs) -> np.ndarray:
+        tests = tuple(replace(run, name=f"run {number}") for number, run in enumerate(runs))
+        whole = np.ones(values.size, dtype=bool)
+        problem = SystemProblem(of.model, tests, of.model.means, of.model.errors, whole, values)
+        return SystemPosterior(problem=problem, values=values, sizes={}).covariance
+
+    shared = replace(alone, net=(less, less.baseline_changes()))
+    v, size = covariance(*[alone] * n), of.model.errors
+    by_tests = np.eye(values.size) - v / size**2
+    expected = v + (n - 1) / 2 * by_tests @ v
+    assert np.sqrt(np.diag(expected) / np.diag(v)).max() > 1.2
+    np.testing.assert_allclose(
+        covariance(*[shared] * n) / np.outer(size, size), expected / np.outer(size, size), atol=1e-6
+    )
+    # One run has nothing to share it with.
+    np.testing.assert_allclose(covariance(shared) / size**2, covariance(alone) / size**2, atol=1e-9)
 
 
 @pytest.mark.parametrize("lost_in", [3, 2])

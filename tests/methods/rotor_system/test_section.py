@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from labpipe.errors import ConfigError
+from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor_system import predictions
 from labpipe.methods.rotor_system.build import Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evaluate import (
@@ -21,13 +21,14 @@ from labpipe.methods.rotor_system.evaluate import (
     evidence_of,
     explained_text,
     free_modes_of,
+    limits_of,
     measured_of,
     sensors_of,
     system_result,
 )
 from labpipe.methods.rotor_system.model import Unknown
 from labpipe.methods.rotor_system.posterior import Explanation, SystemPosterior, fit_system
-from labpipe.methods.rotor_system.settings import SystemTest
+from labpipe.methods.rotor_system.settings import RotorSystemSettings, SystemTest
 from labpipe.methods.rotor_system.system_file import load_system
 from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, record
 from labpipe.methods.run_ups.records import ProbeError, RunUp
@@ -370,6 +371,32 @@ def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:
     assert found.criticals
 
 
+def test_limits_of_a_standard_that_is_asked_for_are_findings() -> None:
+    """A critical speed 5 % below 6000 rpm with AF 8: 17 (1 - 1 / 6.5) = 14.4 % are asked for."""
+    far, near, unsure = (
+        SimpleNamespace(speed=speed, margin=(100 - speed, 14.38), met=met)
+        for speed, met in ((60.0, 1.0), (95.0, 0.0), (86.0, 0.6))
+    )
+    least = SimpleNamespace(speed=30.0, margin=(70.0, 0.0), met=None)
+    result = SimpleNamespace(
+        operating=100.0, criticals=(least, far, near, unsure), decrement=(0.04, 0.004, 0.0)
+    )
+    broken, undecided, decrement = limits_of("API 617", result)
+    assert [of.level for of in (broken, undecided, decrement)] == ["warning", "note", "warning"]
+    assert "5700 rpm at 6000 rpm is 5.0 %, where 14.4 % are asked for" in broken.message
+    assert "probability of 60 %: undecided" in undecided.message
+    assert "log decrement at 6000 rpm is 0.04, where more than 0.1" in decrement.message
+
+
+def test_a_standard_needs_a_speed_of_the_rotor() -> None:
+    of = system()
+    standing = replace(of, rig=replace(of.rig, speed=0.0))
+    tests = (SystemTest(name="scales", kind="static", mass="34 kg +- 0.1 kg"),)
+    with pytest.raises(SettingError, match="at its speed, and the rotor file has none") as fault:
+        RotorSystemSettings(rotor="r.yaml", tests=tests, standard="API 617", system=standing)
+    assert fault.value.field == "standard"
+
+
 def test_a_fit_of_several_bands_is_no_test_of_modes() -> None:
     fits = [SimpleNamespace(name="modes", detail=lambda _: object())] * 2
     with pytest.raises(ConfigError, match="there are 2 modal fits 'modes'"):
@@ -625,3 +652,8 @@ def test_probes_of_one_calibrator_err_together(tmp_path: Path) -> None:
         value, error, _ = error_by(tmp_path, test, run, name)
         assert value == pytest.approx(5e-5 if name.endswith("re") else 0, abs=5e-8)
         assert error == pytest.approx(5e-5 * np.hypot(part, 0.01 / 2), rel=0.03)
+    # What it was read less of comes to the probes along the axes as it does itself.
+    turned, less = replace(test, axes="load"), replace(run, baseline=run)
+    whole = build(own, SURE, {"run": sensors_of(turned, less)})
+    read = evidence_of(turned, whole, own, cast("Work", None), less)
+    assert read.net is not None and read.net[1][0, 1, 1].tolist() == pytest.approx(0.01 * read.measured[1])

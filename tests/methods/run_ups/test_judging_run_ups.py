@@ -1,4 +1,4 @@
-"""Run-ups held against rules: which run of several decides, and in which unit the speed is shown."""
+"""Run-ups compared with rules: which run of several decides, and in which unit the speed is shown."""
 
 from __future__ import annotations
 

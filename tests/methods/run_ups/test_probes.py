@@ -161,7 +161,7 @@ def test_uncertainties_of_tables_are_read() -> None:
         0.01
     }
     assert errors[-1].uncertainty.std_error == pytest.approx(np.radians(1))
-    with pytest.raises(ConfigError, match="no uncertainty"):
+    with pytest.raises(ConfigError, match="is not an uncertainty"):
         ProbeSettings(gain="much")
 
 

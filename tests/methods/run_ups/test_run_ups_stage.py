@@ -1,4 +1,4 @@
-"""Run-ups of a pipeline: read from tables and recordings, residuals subtracted, every method held against
+"""Run-ups of a pipeline: read from tables and recordings, residuals subtracted, every method compared with
 every run, rules on them.
 """
 
@@ -219,7 +219,7 @@ def test_rules(whole: RunUpResult, address: str, text: str, passed: bool) -> Non
         ("run_ups.physical.rank", "a metamodel has no 'rank'"),
         ("run_ups.joint[load-1].threshold.cover", "a speed has no 'cover'; did you mean 'covers'"),
         ("run_ups.nobody.rank", "there is no method 'nobody'"),
-        ("run_ups.joint", "is no address"),
+        ("run_ups.joint", "is not an address"),
     ],
 )
 def test_rules_on_what_there_is_not(whole: RunUpResult, address: str, said: str) -> None:
@@ -356,7 +356,7 @@ def test_a_recording_with_its_residual_gives_the_run_and_its_cascade(tmp_path: P
     cascade = run.cascades[0]
     peaks = np.array(cascade.frequency)[np.argmax(np.array(cascade.amplitude), axis=1)]
     np.testing.assert_allclose(peaks, cascade.speed, atol=1.1)
-    # A name is no path: the files stand where results stand, and nowhere else.
+    # A name is not a path: the files stand where results stand, and nowhere else.
     assert {path.name for path in (tmp_path / "out/recordings").iterdir()} == {
         "..-..-8-N.recording.parquet",
         "..-..-8-N-residual.recording.parquet",
