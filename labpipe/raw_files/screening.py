@@ -403,7 +403,7 @@ class TimeAxisScreen:
                 whole = round(extreme / usual)
                 # A sampling rate in place of such times would move all that follows.
                 exact = abs(extreme - whole * usual) <= allowed + resolution
-                if whole != 1 and exact and step > FINE * resolution:
+                if whole > 2 or (whole != 1 and exact and step > FINE * resolution):
                     lost = f"{whole - 1} sample(s) are lost" if whole else "a row stands twice"
                     hint = f"{lost} there; cut the recording, or record it again"
                     raise DataError(f"{what}: {at}, {usual:g} s else", hint=hint)
