@@ -22,6 +22,7 @@ KINDS = {
     "bands": "list of ranges",
     "peaks": "ranges by dof",
     "integer": "whole number",
+    "span": "whole number, or two as `2-60`",
     "flag": "`true` or `false`",
     "text": "text",
     "names": "name or list of names",

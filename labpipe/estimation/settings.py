@@ -166,7 +166,10 @@ class FitSettings(Settings):
         "flag", "the given mass is known but for a factor, which is estimated", default=False
     )
     residuals: bool = setting(
-        "flag", "with mass: estimate: a constant beside the mode for those outside the band", default=False
+        "flag",
+        "with mass: estimate: a constant beside the mode for those outside the band; modal: one for those "
+        "below and one for those above it, no more",
+        default=False,
     )
     relative: bool = setting("flag", "the response is measured relative to the base", default=False)
     damping: str = setting(

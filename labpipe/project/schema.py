@@ -212,6 +212,7 @@ def _kind(setting: Setting) -> dict[str, Any]:
         "bands": _TEXTS,
         "peaks": _mapping_of(_TEXTS),
         "integer": {"type": "integer", "minimum": 0},
+        "span": _TEXT_OR_NUMBER,
         "flag": {"type": "boolean"},
         "text": _TEXT_OR_NUMBER,
         "file": {"type": "string"},

@@ -219,8 +219,22 @@ def to_mass(value: Any, setting: Setting) -> Any:
     return mass
 
 
+def to_span(value: Any, setting: Setting) -> tuple[int, int]:
+    """60 or "2-60": the lowest of the default, or as it is written, and the highest."""
+    ends = value if isinstance(value, (tuple, list)) else str(value).split("-")
+    if (
+        isinstance(value, bool)
+        or len(ends) not in (1, 2)
+        or not all(str(end).strip().isdigit() for end in ends)
+    ):
+        raise UnitError(f"'{_text_of(value)}' is not a whole number, nor two of them", "write 60, or 2-60")
+    return (int(ends[0]) if len(ends) > 1 else 2), to_integer(int(ends[-1]), setting)
+
+
 def to_values(value: Any, setting: Setting) -> tuple[float, ...]:
-    """One value or a list of values."""
+    """One value or a list of values; a choice in their place, such as `auto`, is none."""
+    if isinstance(value, str) and value in setting.choices:
+        return ()
     return tuple(to_value(entry, setting) for entry in (value if _is_list(value) else [value]))
 
 
@@ -332,6 +346,7 @@ CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
     "bands": to_bands,
     "peaks": to_peaks,
     "integer": to_integer,
+    "span": to_span,
     "flag": to_flag,
     "text": to_text,
     "file": to_text,

@@ -56,6 +56,7 @@ def example(declared: Setting) -> Any:
         "bands": [f"2-3 {declared.unit}"],
         "peaks": {"x": f"2-3 {declared.unit}"},
         "integer": 2,
+        "span": "2-60",
         "flag": True,
         "text": "words",
         "file": "file.yaml",

@@ -221,6 +221,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         response.form,
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
+        adds_terms=not settings.residuals,
     )
     points, references = sides.measured.outputs, sides.measured.inputs
     if modal.moving_mass is not None and len(points) <= FEWEST_POINTS:
@@ -282,14 +283,14 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     return True
 
 
-def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool) -> _Sides:
+def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool, adds_terms: bool) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turn(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     weight = _weight(turned, factor)
     shared, power = measured.shared_noise, DERIVATIVES[form]
-    lines = Lines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared)
+    lines = Lines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared, adds_terms)
     return _Sides(turned, lines, forces_move, by_force)
 
 
@@ -350,7 +351,7 @@ def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf
     while omega.size >= LINES_PER_ORDER * LEAST_ORDER:
         order = _highest_order(omega.size, modal)
         equations = lscf.normal_equations(omega, matrix, order)
-        diagram = lscf.stabilisation(equations, edges, order)
+        diagram = lscf.stabilisation(equations, edges, order, min(modal.order[0], order))
         looks.append((diagram, _by_hand(equations, modal, edges, order) if modal.poles else diagram.modes))
         if diagram.modes.values.size:
             break
@@ -377,7 +378,7 @@ def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf
 
 
 def _highest_order(n_line: int, modal: ModalSettings) -> int:
-    highest = min(modal.order, n_line // LINES_PER_ORDER)
+    highest = min(modal.order[1], n_line // LINES_PER_ORDER)
     if highest < LEAST_ORDER:
         what = f"{n_line} lines are too few for a stabilisation diagram"
         raise FitError(what, "", f"widen the band to {LINES_PER_ORDER * LEAST_ORDER} lines or more")

@@ -36,7 +36,8 @@ class Lines:
     weight (n_line,) [1]: reciprocal of the noise along the lines, the same for every element; all sums over
     lines are weighted with it. hysteretic: whether modes are damped by a loss factor, else viscously.
     leakage: of random data, where it is known. shared: variance of a sum over the lines over that of
-    independent ones [1].
+    independent ones [1]. adds_terms: whether more residual terms than one for modes below and one for
+    modes above are tried.
     """
 
     omega: FloatArray
@@ -46,6 +47,7 @@ class Lines:
     hysteretic: bool = False
     leakage: Leakage | None = None
     shared: float = 1.0
+    adds_terms: bool = True
 
     @property
     def s(self) -> ComplexArray:

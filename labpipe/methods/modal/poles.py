@@ -169,6 +169,8 @@ SHARE_OF_DECAY, SHARE_OF_FREQUENCY, ALIKE = 0.5, 2e-4, 0.7
 # A mode returns in this share of the orders from FIRST_ORDER on; lower orders cannot hold all modes of the
 # band.
 LEAST_SHARE, FIRST_ORDER = 0.25, 10
+# Lowest order of the diagram, unless another one is asked for.
+LOWEST_ORDER = 2
 # Damping ratio above which a pole describes the background of the band.
 MOST_DAMPING = 0.5
 # Of more orders than this one in two shows as much.
@@ -198,13 +200,15 @@ class Diagram:
         return np.array([np.mean(np.isin(self.counted, self.poles.orders[at])) for at in near])
 
 
-def stabilisation(equations: NormalEquations, band: tuple[float, float], highest: int) -> Diagram:
-    """The diagram of the orders up to *highest* and the modes inside *band* [rad/s] that it shows; of many
-    orders every second one.
+def stabilisation(
+    equations: NormalEquations, band: tuple[float, float], highest: int, lowest: int = LOWEST_ORDER
+) -> Diagram:
+    """The diagram of the orders *lowest* to *highest* and the modes inside *band* [rad/s] that it shows; of
+    many orders every second one.
 
     Equation (modal-stable).
     """
-    orders = range(highest, 1, -(1 + highest // MANY_ORDERS))
+    orders = range(highest, lowest - 1, -(1 + highest // MANY_ORDERS))
     parts = [_inside(equations.poles(order), band) for order in orders]
     poles = Poles(*(np.concatenate(of) for of in zip(*(vars(part).values() for part in parts), strict=True)))
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
@@ -355,13 +359,14 @@ TRIAL_STEPS = 1
 def refine_with_terms(
     lines: Lines, poles: ComplexArray, participation: ComplexArray
 ) -> tuple[Refined, ResidualTerms]:
-    """The refined modes and the residual terms of least AIC = 2 n_line sum ln(residual) + 2 parameters.
+    """The refined modes and the residual terms of least AIC = 2 n_line sum ln(residual) + 2 parameters, or
+    one to either side where no more are asked for.
 
     *poles* (n_mode,) [rad/s], *participation* (n_mode, n_input) [1].
     """
     terms = ResidualTerms(lines, 1, 1)
     best = refine(terms, poles, participation, TRIAL_STEPS)
-    while True:
+    while lines.adds_terms:
         sizes = ((terms.lower + 1, terms.upper), (terms.lower, terms.upper + 1))
         trials = [
             (refine(more, best.poles, best.participation, TRIAL_STEPS), more)

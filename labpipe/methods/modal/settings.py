@@ -20,9 +20,11 @@ LEAST_ORDER = 6
 class ModalSettings(Settings):
     """How modes are found: from the stabilisation diagram by itself, or at the poles that are named."""
 
-    order: int = setting("integer", "highest order of the stabilisation diagram", default=60)
+    order: tuple[int, int] = setting(
+        "span", "highest order of the stabilisation diagram, or lowest and highest", default=(2, 60)
+    )
     poles: tuple[float, ...] = setting(
-        "values", "natural frequencies chosen by hand; default: automatic", unit="Hz", default=()
+        "values", "natural frequencies chosen by hand, or auto", unit="Hz", choices=("auto",), default=()
     )
     shapes: str = setting(
         "choice",
@@ -46,8 +48,9 @@ class ModalSettings(Settings):
     structure: Geometry | None = None
 
     def __post_init__(self) -> None:
-        if self.order < LEAST_ORDER:
-            raise ConfigError(f"'order' is {self.order}", hint=f"{LEAST_ORDER} or more", field="order")
+        if self.order[1] < max(LEAST_ORDER, self.order[0]):
+            what = f"the highest 'order' is {self.order[1]}"
+            raise ConfigError(what, hint=f"{LEAST_ORDER} or more, and the lowest first: 2-60", field="order")
         if any(pole <= 0 for pole in self.poles):
             raise ConfigError("'poles' must be positive", field="poles")
         self.require_positive("moving_mass")
@@ -74,6 +77,6 @@ MODAL = ModelKind(
     of_repeat=_of_repeat,
     own_damping=True,
     any_input=True,
-    keys=("mass", "input", "output", "damping", "repeats", "repeat_groups"),
+    keys=("mass", "input", "output", "damping", "residuals", "repeats", "repeat_groups"),
     estimators=("ml",),
 )

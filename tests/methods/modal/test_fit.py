@@ -210,6 +210,14 @@ def test_a_mode_below_the_noise_of_single_lines_is_found_by_means_of_lines(named
     assert fit.parameter("f_n_1").std_error < 0.3 and fit.detail(Modes).frequency.size == 1
 
 
+def test_orders_and_poles_are_written_as_ranges_and_words() -> None:
+    assert ModalSettings(order="2-60", poles="auto") == ModalSettings(order=60) == ModalSettings()
+    assert ModalSettings(order="12-40").order == (12, 40)
+    found = modal(chain_response(np.linspace(5, 120, 400)), model_settings=ModalSettings(order="12-40"))
+    (shapes,) = found.details
+    assert min(shapes.diagram.order) >= 12 and max(shapes.diagram.order) <= 40
+
+
 def test_refusals_say_what_to_do() -> None:
     rng = np.random.default_rng(2)
     clean = chain_response(np.linspace(5, 120, 400))
@@ -224,8 +232,11 @@ def test_refusals_say_what_to_do() -> None:
         modal(clean, model_settings=ModalSettings(poles=(300.0,)))
     with pytest.raises(FitError, match="one and the same pole"):
         modal(clean, model_settings=ModalSettings(poles=(50.0, 50.1)))
-    with pytest.raises(ConfigError, match="'order' is 2"):
-        ModalSettings(order=2)
+    for order in (2, "60-12"):
+        with pytest.raises(ConfigError, match="the highest 'order' is"):
+            ModalSettings(order=order)
+    with pytest.raises(ConfigError, match="'2-x' is not a whole number, nor two of them; write 60, or 2-60"):
+        ModalSettings(order="2-x")
     with pytest.raises(ConfigError, match="positive"):
         ModalSettings(poles=(0.0,))
     with pytest.raises(ConfigError, match="takes one mass, above zero"):
