@@ -15,9 +15,11 @@ from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import DataError
 from labpipe.processes import shared_out
-from labpipe.project.exports import WRITERS
 from labpipe.project.measured import files_of_test
 from labpipe.project.report import write_campaign, write_report, write_test_report
+from labpipe.registry import Registry
+
+WRITERS = Registry("writer")
 
 
 @click.command()

@@ -14,7 +14,6 @@ from labpipe.cli.many import Progress, echo_failed, manner, silent
 from labpipe.cli.output import echo, echo_findings
 from labpipe.cli.terminal import echo_identification
 from labpipe.errors import ConfigError
-from labpipe.project.exports import write_study_csv
 from labpipe.project.identify import MeasuredTests, identify_stage
 from labpipe.project.ingest import ingest_all
 from labpipe.project.measured import MeasuredTest, load_measured
@@ -204,6 +203,9 @@ def study(
     Writes identification.json, study.csv and the report. The same seed gives the same results on any number
     of processes.
     """
+    # pandas and scipy.io, which the other stages do without.
+    from labpipe.project.exports import write_study_csv
+
     pipeline = load_pipeline(pipeline_path, overrides)
     if STUDY not in pipeline.sections:
         raise ConfigError("study: is missing", pipeline_path, "name a virtual rig and noise levels")

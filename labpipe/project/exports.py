@@ -1,4 +1,4 @@
-"""Artefacts as tables for other programs, WRITERS by name, and test signals for a signal generator."""
+"""Artefacts as tables for other programs, and test signals for a signal generator."""
 
 from __future__ import annotations
 
@@ -35,10 +35,7 @@ from labpipe.records.comparison import Study
 from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, RobustPlant
 from labpipe.records.identification import Fit, Identification, RuleOutcome, listed_parameters
-from labpipe.registry import Registry
 from labpipe.uncertainty.amounts import random_error
-
-WRITERS = Registry("writer")
 
 
 def write_csv(artefact: Path, target: Path) -> None:

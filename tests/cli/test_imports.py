@@ -44,6 +44,14 @@ def test_a_run_that_changes_nothing_loads_nothing_that_measures_fits_or_draws(tm
     assert imported(*run) == set()
 
 
+def test_the_stages_load_what_a_run_loads(tmp_path: Path) -> None:
+    """Tables and MATLAB files are another command's: they took half of the time of every stage."""
+    output = ("-o", tmp_path / "out")
+    assert imported("frf", "-c", "pipelines/pedestal.yaml", *output) == {"scipy"}
+    assert imported("identify", "-c", "pipelines/pedestal.yaml", *output) == {"scipy"}
+    assert imported("report", tmp_path / "out", "-o", tmp_path / "report.html") <= {"scipy"}
+
+
 @pytest.mark.long
 def test_a_run_loads_no_method_that_its_pipeline_does_not_name(tmp_path: Path) -> None:
     """A fit of a single mass is the core's own work; a ring-down is that of one method."""

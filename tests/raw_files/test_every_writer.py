@@ -21,9 +21,9 @@ from labpipe.artefacts.identification_file import read_fits, write_fits
 from labpipe.artefacts.measured_files import read_decays, read_response, read_spectra
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import text_of
+from labpipe.cli.report import WRITERS
 from labpipe.methods.planning.plan_file import read_plan, write_plan
 from labpipe.methods.planning.records import Plan
-from labpipe.project.exports import WRITERS
 from labpipe.project.ready_response import load_response
 from labpipe.raw_files.table import open_table
 from labpipe.records.comparison import ConditionAxis, ConditionMatrix, MatrixPoint, Repeated
