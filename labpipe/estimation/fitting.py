@@ -413,7 +413,7 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
         assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         findings, factors = _contradict(case, uncertainties, assessed)
         if findings:
-            # What is named is not a second time a sign of a wrong model.
+            # What is named is no sign of a wrong model besides.
             by = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
             stated = Stated(by[:, None] * stated.changes, stated.at / by)
             assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)

@@ -257,7 +257,7 @@ class ModeModel:
             return -weighted(at(x.tobytes())[1])
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            # Where there are not numbers, the descent would end as well.
+            # Where there are no numbers, the descent would end as well.
             first = residual(theta)
             if first.size < theta.size or not np.all(np.isfinite(first)):
                 raise FitError("the fit has no minimum")
@@ -346,7 +346,7 @@ def is_extension(base: Fitted, model: ModeModel, theta: FloatArray) -> bool:
     band, of like damping, beside one that moved by less than its width; a motion neither longer nor too short
     to be seen.
     """
-    # In logarithms: what runs away is not a number else.
+    # In logarithms, since what runs away would not be a number.
     n, band = model.n_interest, np.log(model.curve.frequency[[0, -1]])
     f_n, zeta = np.log(base.model.frequency_and_damping(base.theta))
     if model.law and not np.log(0.05) < theta[n] - zeta < np.log(3):

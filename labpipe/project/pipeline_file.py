@@ -395,7 +395,7 @@ def _sections(
     for name, entry in sections(entries):
         written = entries[name].content
         content = _section(entries[name], name, entry, Reading(faults, rig, names))
-        # Names count even where their entries cannot be read, so that rules on them are not a faults.
+        # Names count even where their entries cannot be read, so that rules on them are not faults.
         by_name = entry.named and isinstance(written, dict)
         names = (*names, *(written if by_name else names_of(name, content)))
         if content is not None:

@@ -38,6 +38,8 @@ FRF_READERS = Registry("frf-reader")
 OFF_LINE = 0.1
 # Blocks of random data whose number is not stated: so many that one more changes nothing.
 MANY_BLOCKS = 100
+# Independent averages below which a coherence says nothing of the noise.
+LEAST_AVERAGES = 2
 
 
 def read_frf_file(path: Path, name: str = "") -> FrequencyResponse:
@@ -150,6 +152,8 @@ def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path
     """An H1 of random data in blocks of one over the distance of its lines, with what these leave in it."""
     if response.blocks is not None:
         raise DataError("says itself what its blocks were", path, "leave `excitation` out")
+    if response.n_frequency < 2:
+        raise DataError("has one line, which tells no length of blocks", path, "leave `excitation` out")
     steps = np.diff(response.frequency)
     # Over all lines, since each is written with few digits.
     spacing = float(np.sum(steps) / np.sum(np.round(steps / np.median(steps))))
@@ -160,7 +164,11 @@ def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path
     window, number = window_values(layout.window, WINDOW_SAMPLES), layout.averages or MANY_BLOCKS
     step = max(1, round(window.size * (1 - layout.overlap)))
     if layout.averages:
-        response = _with_noise(response, effective_averages(window, step, number), path)
+        averages = effective_averages(window, step, number)
+        if averages < LEAST_AVERAGES:
+            what = f"is of {averages:.2g} independent averages by its `averages` and `overlap`"
+            raise DataError(what, path, f"{LEAST_AVERAGES} or more tell the noise; leave `averages` out")
+        response = _with_noise(response, averages, path)
     blocks = Blocks(1 / spacing, layout.window, layout.overlap, number, "H1")
     return replace(response, blocks=blocks, line_correlation=line_correlation(window, step, number))
 

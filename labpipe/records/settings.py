@@ -220,7 +220,7 @@ def to_mass(value: Any, setting: Setting) -> Any:
 
 
 def to_span(value: Any, setting: Setting) -> tuple[int, int]:
-    """60 or "2-60": the lowest of the default, or as it is written, and the highest."""
+    """60 or "2-60": from 1, or from where it is written, to the end."""
     ends = value if isinstance(value, (tuple, list)) else str(value).split("-")
     if (
         isinstance(value, bool)
@@ -228,7 +228,7 @@ def to_span(value: Any, setting: Setting) -> tuple[int, int]:
         or not all(str(end).strip().isdigit() for end in ends)
     ):
         raise UnitError(f"'{_text_of(value)}' is not a whole number, nor two of them", "write 60, or 2-60")
-    return (int(ends[0]) if len(ends) > 1 else 2), to_integer(int(ends[-1]), setting)
+    return (int(ends[0]) if len(ends) > 1 else 1), to_integer(int(ends[-1]), setting)
 
 
 def to_values(value: Any, setting: Setting) -> tuple[float, ...]:

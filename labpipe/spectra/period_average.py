@@ -231,7 +231,7 @@ TOGETHER = 16
 # Lines of the whole record to either side of one of a period that are compared with the scatter, the least
 # periods for it, and the chance by which a channel of independent periods fails.
 NEAREST, LEAST_PERIODS, BY_CHANCE = 2, 8, 1e-3
-# What a channel's noise has beyond those before it, in power, from which on it is not a rounding, and what
+# What a channel's noise has beyond those before it, in power, from which on it is not rounding, and what
 # keeps less from being zero.
 LEAST_OWN, RIDGE = 1e-9, 1e-12
 # Lines to either side whose noise is taken then: of so many between two lines of a period one, and at most.

@@ -325,7 +325,7 @@ BESIDE, OF_PEAK = (1.0, 4.0), 0.5
 
 def leaking_peaks(response: FrequencyResponse) -> tuple[Finding, ...]:
     """A warning where the coherence of an FRF of unknown blocks falls at its highest peak: their ends tear
-    the response from its force where it rings longest (Bendat and Piersol 2010, Random Data, 9.2.4).
+    the response from its force where it rings longest.
     """
     for row, output in enumerate(response.outputs):
         for column, force in enumerate(response.inputs):

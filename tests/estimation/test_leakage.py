@@ -137,6 +137,8 @@ def test_coherence_of_hits_falls_nowhere(tmp_path: Path) -> None:
     ("lines", "stated", "fault"),
     [
         ((50.0, 50.1, 50.2, 50.35), {}, r"h\.txt: has lines that are not multiples of their distance"),
+        ((50.0,), {}, "has one line, which tells no length of blocks"),
+        ((50.0, 50.1), {"averages": 2, "overlap": 0.9}, "is of 1.1 independent averages by its `averages`"),
         ((50.0, 50.1), {"window": ""}, "leaks through the window of their blocks.* window: hann beside it"),
         ((50.0, 50.1), {"windowed": WindowedSettings(exponential=1.0)}, "and no 'windowed'"),
         ((50.0, 50.1), {"excitation": ""}, "'overlap' is that of blocks of random data.*excitation: random"),

@@ -155,9 +155,10 @@ def modal_notes(
         "measured covariance (without one it is the same at all lines); the chi-square test of the model is "
         "not possible"
     )
+    chosen = "by AIC" if terms.lines.adds_terms else "as `residuals` asks"
     added = f"{whole.added} mode(s) were added that the diagram did not show"
     notes = (
-        (True, f"residual terms of every FRF: {residual}, by AIC"),
+        (True, f"residual terms of every FRF: {residual}, {chosen}"),
         (estimate.unused, f"the measured covariance is not used: {estimate.unused}"),
         (estimate.chi2_reduced is None, without_test),
         (whole.added, f"{added}, since the residual was not noise, or terms stood for them"),

@@ -169,7 +169,7 @@ SHARE_OF_DECAY, SHARE_OF_FREQUENCY, ALIKE = 0.5, 2e-4, 0.7
 # A mode returns in this share of the orders from FIRST_ORDER on; lower orders cannot hold all modes of the
 # band.
 LEAST_SHARE, FIRST_ORDER = 0.25, 10
-# Lowest order of the diagram, unless another one is asked for.
+# Lowest order of the diagram: one pole is no choice.
 LOWEST_ORDER = 2
 # Damping ratio above which a pole describes the background of the band.
 MOST_DAMPING = 0.5
@@ -201,14 +201,14 @@ class Diagram:
 
 
 def stabilisation(
-    equations: NormalEquations, band: tuple[float, float], highest: int, lowest: int = LOWEST_ORDER
+    equations: NormalEquations, band: tuple[float, float], highest: int, lowest: int = 1
 ) -> Diagram:
     """The diagram of the orders *lowest* to *highest* and the modes inside *band* [rad/s] that it shows; of
     many orders every second one.
 
     Equation (modal-stable).
     """
-    orders = range(highest, lowest - 1, -(1 + highest // MANY_ORDERS))
+    orders = range(highest, max(lowest, LOWEST_ORDER) - 1, -(1 + highest // MANY_ORDERS))
     parts = [_inside(equations.poles(order), band) for order in orders]
     poles = Poles(*(np.concatenate(of) for of in zip(*(vars(part).values() for part in parts), strict=True)))
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
@@ -505,10 +505,10 @@ def complete(
         if done.terms.count > least.count:
             plain = refine(least, now.poles, now.participation)
             tried += [_with_one_more(done, plain, least, correlation)]
-        found = [more for more in tried if more is not None]
-        if not found:
+        supported = [more for more in tried if more is not None]
+        if not supported:
             break
-        done = min(found, key=lambda more: criterion(more.refined, more.terms))
+        done = min(supported, key=lambda more: criterion(more.refined, more.terms))
     return done if done.p_noise >= MISMATCH_P else first
 
 
@@ -551,8 +551,8 @@ def _with_one_more(
     if not sound or criterion(again, terms) > criterion(done.refined, done.terms) - SUPPORT:
         return None
     # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
-    place, told = 2 * refined.poles.size, by_lines(terms, again)
-    if -again.poles.real[-1] < NORMAL * np.sqrt(told.covariance[place, place]):
+    place, by_scatter = 2 * refined.poles.size, by_lines(terms, again)
+    if -again.poles.real[-1] < NORMAL * np.sqrt(by_scatter.covariance[place, place]):
         return None
     return Completed(again, terms, whiteness(remaining(terms, again), correlation), done.added + 1)
 

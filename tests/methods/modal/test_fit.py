@@ -211,11 +211,15 @@ def test_a_mode_below_the_noise_of_single_lines_is_found_by_means_of_lines(named
 
 
 def test_orders_and_poles_are_written_as_ranges_and_words() -> None:
-    assert ModalSettings(order="2-60", poles="auto") == ModalSettings(order=60) == ModalSettings()
+    assert ModalSettings(order="1-60", poles="auto") == ModalSettings(order=60) == ModalSettings()
     assert ModalSettings(order="12-40").order == (12, 40)
     found = modal(chain_response(np.linspace(5, 120, 400)), model_settings=ModalSettings(order="12-40"))
     (shapes,) = found.details
     assert min(shapes.diagram.order) >= 12 and max(shapes.diagram.order) <= 40
+    assert any(
+        "1 for modes below the band, 1 for modes above it, as `residuals` asks" in note
+        for note in modal(chain_response(np.linspace(5, 120, 400)), residuals=True).notes
+    )
 
 
 def test_refusals_say_what_to_do() -> None:

@@ -256,8 +256,15 @@ def test_margins_of_api_684() -> None:
     assert [margin_above(a) for a in (2.0, 2.5, 8.0, 25.0)] == pytest.approx([0, 10.0, 24.384615, 26.0])
 
 
+class Reading:
+    """Evidence that no test shares."""
+
+    def loosened(self, _model, _values, _share):
+        return self
+
+
 @dataclass(frozen=True)
-class Exponential:
+class Exponential(Reading):
     """One reading y = exp(theta) with noise: a posterior that bends."""
 
     reading: float
@@ -268,12 +275,9 @@ class Exponential:
         x = float(np.exp(values[0]))
         return np.array([(self.reading - x) / self.noise]), lambda: np.array([[-x / self.noise]])
 
-    def loosened(self, _model, _values, _share):
-        return self
-
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(Reading):
     """Readings y = slopes * theta with noise of 1."""
 
     name: str
@@ -282,9 +286,6 @@ class Linear:
 
     def residual(self, _model, values):
         return self.readings - self.slopes * values[0], lambda: -self.slopes[:, None]
-
-    def loosened(self, _model, _values, _share):
-        return self
 
 
 @pytest.mark.long
@@ -307,7 +308,7 @@ def test_a_posterior_that_is_not_normal_is_fitted_to_moved_data() -> None:
 
 
 @dataclass(frozen=True)
-class Product:
+class Product(Reading):
     """One reading of x y with noise: x and y are far less known than their product, along a hyperbola."""
 
     reading: float
@@ -317,9 +318,6 @@ class Product:
     def residual(self, _model, values):
         x, y = values
         return np.array([(self.reading - x * y) / self.noise]), lambda: -np.array([[y, x]]) / self.noise
-
-    def loosened(self, _model, _values, _share):
-        return self
 
 
 def test_what_unknowns_tell_together_is_as_well_known_as_it_was_read() -> None:
