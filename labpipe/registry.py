@@ -6,13 +6,18 @@ from __future__ import annotations
 
 import difflib
 import functools
+import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import EntryPoint, entry_points
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from labpipe.errors import ConfigError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 # Names that a message lists.
 MOST_LISTED = 20
@@ -36,28 +41,53 @@ SHIPPED = Path(__file__).with_name("entry_points.txt")
 
 
 @functools.cache
-def _shipped_entries() -> Mapping[str, Mapping[str, EntryPoint]]:
-    """Group -> name -> entry of labpipe's own tables, read from their file: metadata of an earlier
-    installation may lie beside it.
+def _shipped() -> Mapping[str, Mapping[str, str]]:
+    """Group -> name -> "module:attribute" of labpipe's own tables, read from their file: metadata of an
+    earlier installation may lie beside it.
     """
-    groups: dict[str, dict[str, EntryPoint]] = {}
+    groups: dict[str, dict[str, str]] = {}
     group = ""
     for line in SHIPPED.read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
             group = line.strip("[]")
         elif "=" in line and not line.startswith("#"):
             name, value = (part.strip() for part in line.split("=", 1))
-            groups.setdefault(group, {})[name] = EntryPoint(name, value, group)
+            groups.setdefault(group, {})[name] = value
     return groups
+
+
+def _may_add(place: str) -> bool:
+    """Whether a package in this place of sys.path may add to a table: its list of entry points names a group
+    of labpipe, or it is no plain folder.
+    """
+    try:
+        names = os.listdir(place or ".")
+    except NotADirectoryError:
+        return True
+    except OSError:
+        return False
+    for name in names:
+        if name.endswith(".egg"):
+            return True
+        if name.endswith((".dist-info", ".egg-info")) and not name.startswith(("labpipe-", "labpipe.egg")):
+            lists = Path(place, name, "entry_points.txt")
+            if lists.is_file() and b"[labpipe." in lists.read_bytes():
+                return True
+    return False
 
 
 @functools.cache
 def _of_others() -> Mapping[str, Mapping[str, EntryPoint]]:
     """Group -> name -> entry of other packages.
 
-    Cached, since it reads the metadata of every installed package.
+    Cached, since it looks at every installed package. importlib.metadata takes as long to be imported as all
+    else that `labpipe --help` does, so it is asked only where some package may add to a table.
     """
-    every, shipped = entry_points(), _shipped_entries()
+    if not any(_may_add(place) for place in sys.path):
+        return {}
+    from importlib.metadata import entry_points
+
+    every, shipped = entry_points(), _shipped()
     return {
         group: {
             entry.name: entry
@@ -80,17 +110,17 @@ class Registry:
     """A table of choices whose targets are imported when they are used: name -> target.
 
     Its entries stand in entry_points.txt, those of other packages in their own metadata, under the group
-    ``group_of(kind)``. *own*: further entries, as EntryPoints read "module:attribute".
+    ``group_of(kind)``. *own*: further entries, name -> "module:attribute".
     """
 
     def __init__(self, kind: str, own: Mapping[str, str] = MappingProxyType({})) -> None:
         self.kind = kind
-        self._own = {name: EntryPoint(name, value, group_of(kind)) for name, value in own.items()}
+        self._own = own
         self._loaded: dict[str, Any] = {}
 
     @property
-    def _shipped_entries(self) -> Mapping[str, EntryPoint]:
-        return {**self._own, **_shipped_entries().get(group_of(self.kind), {})}
+    def _own_and_shipped(self) -> Mapping[str, str]:
+        return {**self._own, **_shipped().get(group_of(self.kind), {})}
 
     @property
     def _of_others(self) -> Mapping[str, EntryPoint]:
@@ -98,15 +128,16 @@ class Registry:
 
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first, in the order of their file."""
-        return tuple(dict.fromkeys((*self._shipped_entries, *self._of_others)))
+        return tuple(dict.fromkeys((*self._own_and_shipped, *self._of_others)))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
         if name in self._loaded:
             return self._loaded[name]
-        if name in self._shipped_entries:
+        if name in self._own_and_shipped:
             # Asked for thousands of times in a study; entries of others may be installed anew.
-            return self._loaded.setdefault(name, self._shipped_entries[name].load())
+            module, attribute = self._own_and_shipped[name].split(":")
+            return self._loaded.setdefault(name, getattr(import_module(module), attribute))
         entry = self._of_others.get(name)
         if entry is None:
             raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, EntryPoints
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import pytest
 
@@ -14,16 +17,27 @@ TABLE = {"own": "math:pi"}
 
 
 @pytest.fixture
-def table(monkeypatch: pytest.MonkeyPatch) -> Registry:
+def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of installed packages, looked at by the tables of this test alone."""
+    monkeypatch.syspath_prepend(tmp_path)
+    registry._of_others.cache_clear()
+    yield tmp_path
+    registry._of_others.cache_clear()
+
+
+def installed(folder: Path, package: str, group: str, entries: Sequence[str]) -> None:
+    """The metadata of a package in *folder* with these entry points."""
+    info = folder / f"{package}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("\n".join([f"[{group}]", *entries, ""]))
+
+
+@pytest.fixture
+def table(others: Path) -> Registry:
     """A table with one entry of its own and two added, of which one tries to take the place of its own."""
-    added = (
-        EntryPoint("more", "math:tau", "labpipe.some_kind"),
-        EntryPoint("own", "math:e", "labpipe.some_kind"),
-    )
-    monkeypatch.setattr(registry, "entry_points", lambda: EntryPoints(added))
-    registry._of_others.cache_clear()
-    yield Registry("some kind", TABLE)
-    registry._of_others.cache_clear()
+    installed(others, "labpipe_more", "labpipe.some_kind", ["more = math:tau", "own = math:e"])
+    return Registry("some kind", TABLE)
 
 
 def test_what_packages_add_stands_behind_and_never_in_place_of_what_is_there(table: Registry) -> None:
@@ -48,21 +62,24 @@ def test_groups_hold_only_what_packagers_allow(kind: str, group: str) -> None:
     assert group_of(kind) == group
 
 
-def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_beside(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_beside(others: Path) -> None:
     """Results write details in this order: with another one the same fit has other bytes on another
     worker.
     """
-    shipped = list(registry._shipped_entries()["labpipe.fit_detail"])
-    others = [
-        EntryPoint(name, "elsewhere:x", "labpipe.fit_detail") for name in ("theirs", *reversed(shipped))
-    ]
-    monkeypatch.setattr(registry, "entry_points", lambda: EntryPoints(others))
-    registry._of_others.cache_clear()
-    try:
-        table = Registry("fit detail")
-        assert table.names() == (*shipped, "theirs")
-        assert table.load(shipped[0]) is registry._shipped_entries()["labpipe.fit_detail"][shipped[0]].load()
-    finally:
-        registry._of_others.cache_clear()
+    shipped = registry._shipped()["labpipe.fit_detail"]
+    entries = [f"{name} = elsewhere:x" for name in ("theirs", *reversed(shipped))]
+    installed(others, "theirs", "labpipe.fit_detail", entries)
+    table = Registry("fit detail")
+    assert table.names() == (*shipped, "theirs")
+    module, attribute = next(iter(shipped.values())).split(":")
+    assert table.load(next(iter(shipped))) is getattr(sys.modules[module], attribute)
+
+
+def test_a_package_in_an_archive_on_the_path_adds_as_one_in_a_folder_does(
+    others: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (others / "content").mkdir()
+    installed(others / "content", "packed", "labpipe.some_kind", ["more = math:tau"])
+    archive = shutil.make_archive(str(others / "packed"), "zip", others / "content")
+    monkeypatch.syspath_prepend(archive)
+    assert list(Registry("some kind", TABLE)) == ["own", "more"]

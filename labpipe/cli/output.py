@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labpipe.display import as_printed, difference_in, shown_unit, unit_label, written
-from labpipe.quantities import to_display
-
 if TYPE_CHECKING:
     from labpipe.records.finding import Finding
 
@@ -61,6 +58,8 @@ def echo(text: object = "", *, err: bool = False, nl: bool = True) -> None:
 
 def for_terminal(text: str) -> str:
     """The text with powers and ± as a hand writes them, where the terminal takes UTF-8; else as it is."""
+    from labpipe.display import as_printed
+
     encoding = (getattr(sys.stdout, "encoding", "") or "").lower().replace("-", "")
     return as_printed(text) if encoding == "utf8" else text
 
@@ -83,6 +82,9 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
 
 def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
     """A value, its standard error and its unit: *shown*, or else the one that suits them."""
+    from labpipe.display import difference_in, shown_unit, unit_label, written
+    from labpipe.quantities import to_display
+
     shown = shown or shown_unit(unit, value, std_error)
     error = None if std_error is None else difference_in(std_error, shown)
     number, uncertainty = written(to_display(value, shown), error)

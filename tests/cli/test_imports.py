@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Set
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,8 @@ HEAVY = {"pandas", "scipy", "matplotlib", "h5py", "nptdms"}
 SLOW = {"scipy.stats", "scipy.signal", "scipy.interpolate"}
 
 
-def imported(*arguments: object) -> set[str]:
-    """Heavy libraries that a command has loaded when it ends."""
+def imported(*arguments: object, of: Set[str] = HEAVY | SLOW) -> set[str]:
+    """The libraries *of* these that a command has loaded when it ends."""
     script = (
         "import sys; from labpipe.cli.main import run_command; run_command(sys.argv[1:]); "
         "print('|'.join(sys.modules))"
@@ -33,7 +34,7 @@ def imported(*arguments: object) -> set[str]:
         cwd=ROOT,
         timeout=120,
     )
-    return (HEAVY | SLOW) & set(ended.stdout.splitlines()[-1].split("|"))
+    return of & set(ended.stdout.splitlines()[-1].split("|"))
 
 
 def test_a_run_that_changes_nothing_loads_nothing_that_measures_fits_or_draws(tmp_path: Path) -> None:
@@ -50,6 +51,12 @@ def test_the_stages_load_what_a_run_loads(tmp_path: Path) -> None:
     assert imported("frf", "-c", "pipelines/pedestal.yaml", *output) == {"scipy"}
     assert imported("identify", "-c", "pipelines/pedestal.yaml", *output) == {"scipy"}
     assert imported("report", tmp_path / "out", "-o", tmp_path / "report.html") <= {"scipy"}
+
+
+def test_help_loads_nothing_that_takes_long() -> None:
+    """The metadata of installed packages take longer than all else beside click."""
+    slow = {"importlib.metadata", "labpipe.quantities"}
+    assert imported("--help", of=HEAVY | SLOW | slow) == set()
 
 
 @pytest.mark.long
