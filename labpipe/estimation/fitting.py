@@ -277,7 +277,7 @@ def _fit_band(
         else ((), ())
     )
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
-    doubts = _doubts(case, judged) if judging else {}
+    faults = _find_faults(case, judged) if judging else {}
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -286,7 +286,7 @@ def _fit_band(
             *diagnostics.goodness_findings(estimate.gof),
             *leakage,
             *judged.findings,
-            *doubts.values(),
+            *faults.values(),
             *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
             *budgeted.findings,
             *comparison_findings(compared_models),
@@ -296,7 +296,7 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(_with_delay_as_cause(fit, judgement, *doubts), fitted, model, estimate.values)
+    return _BandFit(_with_delay_as_cause(fit, judgement, *faults), fitted, model, estimate.values)
 
 
 def _with_delay_as_cause(fit: Fit, judgement: Judgement, late: str = "") -> Fit:
@@ -447,9 +447,9 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _doubts(case: Case, judged: _Judged) -> dict[str, Finding]:
-    """A channel that is late, by its name, else "" for a mass without uncertainty against a free one: a
-    channel that is late makes any mass look wrong. Of a model linear in its parameters, responses of reliable
+def _find_faults(case: Case, judged: _Judged) -> dict[str, Finding]:
+    """Findings on a channel that is late, by its name, else under "" on a mass without uncertainty: a channel
+    that is late makes any mass look wrong. Of a model linear in its parameters, responses of reliable
     phase to a force, a mass without uncertainty.
     """
     settings, model = case.setup.settings, case.model

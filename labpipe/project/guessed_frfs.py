@@ -40,7 +40,7 @@ class GuessedFrf:
     """*columns*: names by what they hold; *unit* where the header states one of an FRF; frequency
     (n_frequency,) [Hz] and values (n_frequency, n_element) [unit of the file], complex or amplitudes. word:
     what the entry calls the columns, '' for records. elements: the columns of each element of a matrix. form:
-    where a name says it. doubts: what is a guess. label: of records, where it is not a unit of an FRF.
+    where a name says it. guesses: what is a guess. label: of records, where it is not a unit of an FRF.
     conjugate: *values* are conjugates of the file's. reference: the force, where named; elements are then
     named by their responses.
     """
@@ -52,7 +52,7 @@ class GuessedFrf:
     word: str = "columns"
     elements: dict[str, dict[str, str]] = field(default_factory=dict)
     form: str = ""
-    doubts: tuple[str, ...] = ()
+    guesses: tuple[str, ...] = ()
     label: str = ""
     conjugate: bool = False
     reference: str = ""
@@ -73,10 +73,10 @@ def _of_records(path: Path) -> GuessedFrf | None:
     if not frfs:
         return None
     form = titled_form(frfs[0])
-    doubts = (f"{form}: by the title '{frfs[0].title}'",) if form else ()
+    guesses = (f"{form}: by the title '{frfs[0].title}'",) if form else ()
     label = frfs[0].ordinate.unit
     frequency, values = frf_values(path, frfs)
-    return GuessedFrf({}, "", frequency, values, "", form=form, doubts=doubts, label=label)
+    return GuessedFrf({}, "", frequency, values, "", form=form, guesses=guesses, label=label)
 
 
 # Rows of a table without a header whose first column is a frequency and no time: steps of a recording's time
@@ -121,9 +121,9 @@ def _without_header(table: frf_described.TextColumns) -> GuessedFrf | None:
         return None
     if np.ptp(steps) > 1e-3 * steps.mean() or not (np.any(re_ < 0) and np.any(im)):
         return None
-    doubts = ("frequency [Hz], real and imaginary part: by the numbers, for the table has no header",)
+    guesses = ("frequency [Hz], real and imaginary part: by the numbers, for the table has no header",)
     columns = {"frequency": "1", "re": "2", "im": "3"}
-    return GuessedFrf(columns, "", frequency, (re_ + 1j * im)[:, None], doubts=doubts)
+    return GuessedFrf(columns, "", frequency, (re_ + 1j * im)[:, None], guesses=guesses)
 
 
 # Variables: fewest lines of an FRF, most elements that are listed, names of FRFs, of their frequencies and of
@@ -143,9 +143,9 @@ _OTHERS = {"amplitude": ("phase", r"phase|arg|ang(le)?"), "re": ("im", r"im(ag)?
 def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     """The FRFs among variables: complex vectors, or amplitudes and phases, beside a rising vector."""
     vectors = _vectors(source)
-    elements, doubts = _complex_elements(vectors)
+    elements, guesses = _complex_elements(vectors)
     if not elements:
-        elements, doubts = _pairs(vectors)
+        elements, guesses = _pairs(vectors)
     sizes = [_first(vectors, parts).size for parts in elements.values()]
     size = max(sizes, key=sizes.count, default=0)
     elements = {name: parts for name, parts in elements.items() if _first(vectors, parts).size == size}
@@ -167,7 +167,7 @@ def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     unit = _unit_of_frf(source.unit(next(iter(elements[first].values()))))
     columns = {**lines, **(elements[first] if len(elements) == 1 else {})}
     listed, reference = ({}, "") if len(elements) == 1 else _by_labels(source, elements)
-    notes = (*form_text, *doubts)
+    notes = (*form_text, *guesses)
     return GuessedFrf(columns, unit, frequency, values, "variables", listed, form, notes, reference=reference)
 
 
@@ -226,7 +226,7 @@ def _complex_elements(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
 def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
     """Amplitudes with their phases, and real with imaginary parts, whose names differ in that word alone."""
     elements: Elements = {}
-    doubts: list[str] = []
+    guesses: list[str] = []
     for name, vector in vectors.items():
         alike = [other for other, part in vectors.items() if part.size == vector.size]
         for kind, pattern in _PARTS:
@@ -239,10 +239,10 @@ def _pairs(vectors: Vectors) -> tuple[Elements, tuple[str, ...]]:
             partner = next(filter(partner_name.fullmatch, alike), "")
             if partner and other == "phase":
                 other = "phase_rad" if np.abs(vectors[partner]).max() <= np.pi * (1 + 1e-6) else "phase_deg"
-                doubts.append(f"{other} by its largest number")
+                guesses.append(f"{other} by its largest number")
             if partner:
                 elements[stem] = {kind: name, other: partner}
-    return elements, tuple(dict.fromkeys(doubts))
+    return elements, tuple(dict.fromkeys(guesses))
 
 
 def _axis_of(vectors: Vectors, size: int, elements: Elements) -> str:

@@ -380,7 +380,7 @@ def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) ->
 def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Sequence[str]) -> str:
     """A pipeline that begins with FRFs of another program: one file, or one for each point."""
     guessed = _with_falling_phase(guessed)
-    lines = [*HEAD_OF_FRFS, *(f"# a guess, {doubt}" for doubt in guessed.doubts), "frfs:"]
+    lines = [*HEAD_OF_FRFS, *(f"# a guess, {guess}" for guess in guessed.guesses), "frfs:"]
     pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
         lines.append(f"  each: {_quoted(list(paths))}")

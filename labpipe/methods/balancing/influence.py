@@ -57,7 +57,8 @@ class Noise:
 class Influence:
     """z_0 and alpha of every line: *mean* (n_line, n_plane + 1) [unit of the readings, per kg m], *joint*
     covariance (n, n) of all real, then all imaginary parts, row by row; *misfit* chi-square of the readings,
-    its *dof*; *modelled* by a rotor. narrow: without what doubt of the model has widened, for lower ends.
+    its *dof*; *modelled* by a rotor. narrow: without what the uncertainty of the model has widened, for lower
+    ends.
     """
 
     mean: ComplexArray

@@ -86,8 +86,8 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
     odds = f"the probability of no wear is {probability:.3g} (prior: even odds, wear uniform over the range)"
     if probability >= PROBABLY_HEALTHY and not mismatch:
         return [Finding("healthy", f"the bearing is probably healthy: {odds}")]
-    doubt = ", given a right model, which chi-square rejects" if mismatch else ""
-    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}{doubt}")]
+    given = ", given a right model, which chi-square rejects" if mismatch else ""
+    return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}{given}")]
 
 
 def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
