@@ -34,6 +34,7 @@ from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
+from labpipe.spectra.periodic import no_line
 from labpipe.spectra.ports import Layout, find_layout, sensor_response
 from labpipe.spectra.settings import SPECTRA, FrfSettings
 
@@ -371,8 +372,10 @@ class Bench(charts.Watch):
         return made
 
     def _take(self, average: sources.Average) -> charts.Update:
-        event = f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s"
-        fault = average.fault
+        event, fault = (
+            f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s",
+            average.fault,
+        )
         if not fault and not self.fits:
             self._waiting.append(average)
             # Noise is told by two averages of one direction.
@@ -396,25 +399,23 @@ class Bench(charts.Watch):
         return float(np.sqrt(np.mean(np.abs(force) ** 2)))
 
     def _begin(self, alike: Sequence[sources.Average]) -> None:
-        frequency = self.cutter.frequency
-        amplitudes = np.array([average.amplitude for average in alike])
-        excited = np.ones(frequency.size, bool)
+        frequency, amplitudes = self.cutter.frequency, np.array([average.amplitude for average in alike])
+        acting = np.ones((frequency.size, 1), bool)
         if not self.hits:
-            mean = amplitudes.mean(axis=0)
-            level = np.sqrt(np.mean(np.abs(mean[:, list(self.layout.input_columns[0])]) ** 2, axis=0))
+            mean, forces = amplitudes.mean(axis=0), np.array(self.layout.input_columns[0])
+            level = np.sqrt(np.mean(np.abs(mean[:, forces]) ** 2, axis=0))
             spread = amplitudes[0] - mean
             noise = spread[:, :, None] * spread[:, None, :].conj()
             raw = LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size))
             spectrum = smoothed_noise(raw, self.frf.smooth)
-            for column, size in zip(self.layout.input_columns[0], level, strict=True):
-                if size >= sources.ACTS * level.max():
-                    excited &= excited_lines(spectrum, [column])
-        chosen = excited & lines_in(frequency, self.frf.band, self.frf.exclude)
+            strong = forces[level >= sources.ACTS * level.max()]
+            acting = np.stack([excited_lines(spectrum, [column]) for column in strong], axis=1)
+        acting &= lines_in(frequency, self.frf.band, self.frf.exclude)[:, None]
+        chosen = np.all(acting, axis=1)
         if not chosen.any():
-            raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
+            raise no_line(acting)
         self.lines = np.flatnonzero(chosen)
-        length = self.cutter.n_sample / self.sample_rate if self.hits else 0.0
-        block = length * (1 - self.frf.impact.pretrigger)
+        block = self.hits * self.cutter.n_sample / self.sample_rate * (1 - self.frf.impact.pretrigger)
         self.fits = [FollowedFit(fit, self.layout, self.cutter, self.lines, block) for fit in self.settings]
         for fit in self.fits:
             fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])

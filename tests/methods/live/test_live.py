@@ -221,6 +221,28 @@ def test_two_directions_one_after_the_other(bench, follow):
     assert max(within) < 1.6 and sum(share > 1 for share in within) <= 1
 
 
+def test_forces_on_lines_of_their_own_are_named_as_in_a_run():
+    """Odd lines by one shaker, even ones by the other: the fault was that no force exceeds its noise."""
+    rng, lines = np.random.default_rng(3), np.arange(N // 2 + 1)
+    spectra = [np.where((lines % 2 == odd) & (lines > 20) & (lines < 150), N / 20, 0.0) for odd in (0, 1)]
+    forces = [np.fft.irfft(s * np.exp(6.28j * rng.random(s.size)), N) for s in spectra]
+    moved = [np.fft.irfft(np.fft.rfft(f) / (STIFFNESS - lines**2.0), N) for f in forces]
+    periods = np.tile(np.stack([*forces, *moved], axis=1), (5, 1))
+    channels = tuple(
+        Channel(name, "force" if name[0] == "f" else "displacement", role, name[1])
+        for name, role in (("fx", "input"), ("fy", "input"), ("dx", "output"), ("dy", "output"))
+    )
+    record = Recording(
+        channels, periods + rng.standard_normal(periods.shape) * [0.02, 0.02, 1e-8, 1e-8], RATE, "zipper"
+    )
+    frf = FrfSettings("periodic", period=1.0, skip=1, band=(20, 150))
+    with pytest.raises(DataError) as of_run:
+        measure([record], frf)
+    with pytest.raises(DataError, match="no line is excited by all forces independently") as of_live:
+        Bench(channels, RATE, frf, [FitSettings("rotor-2dof", mass=0.5, name="r")]).add(record.samples)
+    assert str(of_live.value) == str(of_run.value)
+
+
 def test_directions_that_are_shaken_by_turns():
     """Period by period in x and y: of five averages two are of one direction, and none of them is judged by
     what one alone would tell.
