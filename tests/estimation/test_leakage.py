@@ -120,7 +120,7 @@ def test_unsaid_it_makes_the_damping_too_large(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_of_the_response_hides_no_leakage_at_a_peak(tmp_path: Path, seed: int) -> None:
-    """It lowers the coherence beside the peak, so that 1 - coherence rises less there than by leakage alone."""
+    """It lowers the coherence beside the peak: 1 - coherence rises less there than by leakage alone."""
     table(tmp_path / "h.txt", seed, noise=0.15)
     assert [f.code for f in of_table(tmp_path / "h.txt").findings] == ["leakage"]
 
