@@ -143,8 +143,8 @@ class HitSums:
 
     def common(self, hits: Sequence[ComplexArray] = ()) -> ComplexArray:
         """Errors of the mean [H; 1] of these *hits* (n_line, 1, n_channel), of all without any, that lines
-        have in common, (n, n_line, 1, n_channel) [units of H], by noise of the force within its window.
-        Equation (frf-force-courses).
+        have in common, (n, n_line, 1, n_channel) [units of H], by noise of the force within its window, as of
+        *force_courses*.
         """
         shapes, hits = self._shapes(), hits or self._hits
         if not shapes.shape[1]:
