@@ -221,14 +221,16 @@ def turned(lines: IntArray, samples: IntArray, n_sample: int) -> ComplexArray:
     return np.exp(-2j * np.pi / n_sample * np.outer(lines, samples))
 
 
-def window_shapes(window: FloatArray, trigger: int, lines: IntArray) -> ComplexArray | None:
+def window_shapes(
+    window: FloatArray, trigger: int, lines: IntArray, most: int = MOST_COURSES
+) -> ComplexArray | None:
     """Amplitudes (n_line, n) [1] at *lines* of white noise under the *window* (n_sample,) of a hit, counted
     from its *trigger* and relative to the root of its power, by n independent real numbers of variance 1 that
-    hold nearly all of it; None where these are more than MOST_COURSES.
+    hold nearly all of it; None where these are more than *most*.
     """
     at = np.flatnonzero(window)
     # Twice the band times the length of the window.
-    if 2 * lines.size * at.size > MOST_COURSES * window.size:
+    if 2 * lines.size * at.size > most * window.size:
         return None
     shapes = turned(lines, at - trigger, window.size) * (window[at] / np.linalg.norm(window))
     _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)

@@ -415,14 +415,15 @@ def test_noise_of_a_hammer_is_taken_off_as_in_a_run(rng, excluded):
     assert all("taken off" in message for message in said)
 
 
-def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run():
+@pytest.mark.parametrize("highest", [60, 300])
+def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run(highest):
     """White noise of 1 % of the peak within a window of 30 ms is one error of neighbouring lines: k of 12
     records scatters by what is stated (5.6 times that, and every sixth hit left out, by lines alone), with
-    the value and the error of a run of the same hits.
+    the value and the error of a run of the same hits. In a band of more errors than a run tells as well.
     """
     n, hits, rate = 4400, 8, 2000.0
     channels = (Channel("f", "force", "input", "x"), Channel("y", "displacement", "output", "x"))
-    frf = FrfSettings("impact", block=2.0, band=(10, 60), impact=ImpactSettings(force_window=0.03))
+    frf = FrfSettings("impact", block=2.0, band=(10, highest), impact=ImpactSettings(force_window=0.03))
     settings, off, reduced = FitSettings("sdof", name="s", mass=10.0, repeats="pool"), [], []
     w = 2 * np.pi * np.fft.rfftfreq(4 * hits * n, 1 / rate)
     for seed in range(12):
@@ -441,8 +442,9 @@ def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run():
         assert bench.averages == hits and not {"bad-averages", "changes", "model-mismatch"} & said.keys()
         assert "intervals count that" in said["force-noise"]
         k, of_run = last.standings["s.k"].parameter, ran.parameter("k")
-        assert k.value == pytest.approx(of_run.value, abs=0.2 * of_run.full_error)
-        assert k.std_error == pytest.approx(of_run.full_error, rel=0.1)
+        if highest == 60:
+            assert k.value == pytest.approx(of_run.value, abs=0.2 * of_run.full_error)
+            assert k.std_error == pytest.approx(of_run.full_error, rel=0.1)
         off.append((k.value - 4e5) / k.std_error)
         reduced.append(bench.fits[0].now.reduced)
     # A standard deviation of 12 values errs by 21 %, the mean chi-square by 3 %.
