@@ -159,6 +159,11 @@ class StoredRecording:
             for name, (mean, scatter) in self.header.contents.get("levels", {}).items()
         }
 
+    @property
+    def files(self) -> Mapping[str, str]:
+        """The file of every channel where several were joined."""
+        return self.header.contents.get("files", {})
+
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]."""
         return read_ahead(self._blocks_in_turn(n_sample))

@@ -25,7 +25,7 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
-from labpipe.raw_files.screening import JITTER, ChannelScreen, TimeAxisScreen
+from labpipe.raw_files.screening import JITTER, ChannelScreen, LostSamples, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
 from labpipe.records.rig import Rig, RigChannel, time_scale
@@ -106,9 +106,10 @@ def ingest(
     target = output.write_path(name + recording_file.SUFFIX)
     timed = check_table(table, rig)
     channels = rig.all_channels
-    time = TimeAxisScreen(rig.time) if rig.time else None
-    if time is None:
+    time = _clock(table, rig)
+    if not rig.time:
         stated_rate(table, rig)
+        timed = [*_times_beside(table, rig), *timed]
     screen, calibration = channel_screen(rig), Calibration(rig)
     seconds = time_scale(rig.time, table.units)
     try:
@@ -119,10 +120,14 @@ def ingest(
                 block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
                 screen.add(block)
                 writer.write(calibration.with_sums(block))
-            sample_rate = _rate_of_times(time, table) if time is not None else stated_rate(table, rig)
+            of_times = time.findings() if isinstance(time, LostSamples) else ()
+            sample_rate = _rate(time, table, rig)
             contents = recording_file.recording_contents(channels, sample_rate, source.stem, screen.levels())
             of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
-            writer.finish(replace(header, findings=(*of_table, *screen.findings()), contents=contents))
+            if isinstance(table, JoinedTable):
+                contents["files"] = {c.channel.name: table.file_of(c.column) for c in rig.channels}
+            found = (*of_table, *screen.findings(), *of_times)
+            writer.finish(replace(header, findings=found, contents=contents))
     except DataError as error:
         error.where = error.where or str(table.path)
         raise
@@ -167,11 +172,26 @@ def named_times(table: Table) -> list[str]:
     return [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in TIME_NAMES]
 
 
+def _times_beside(table: Table, rig: Rig) -> list[str]:
+    """The columns of times beside a rate that the rig file states, the first of them."""
+    names = named_times(table) if rig.sample_rate else []
+    return [name for name in names if table.columns.count(name) == 1][:1]
+
+
+_Clock = TimeAxisScreen | LostSamples | None
+
+
+def _clock(table: Table, rig: Rig) -> _Clock:
+    if rig.time:
+        return TimeAxisScreen(rig.time)
+    return next(map(LostSamples, _times_beside(table, rig)), None)
+
+
 def _check_rate(table: Table, rig: Rig) -> None:
     """DataError for times at another rate by mean and median step, of which gaps or digits change one."""
     stated = rig.sample_rate or 0.0
-    for name in named_times(table) if stated else ():
-        if table.columns.count(name) > 1 or name not in table.units:
+    for name in _times_beside(table, rig):
+        if name not in table.units:
             continue
         try:
             scale = time_scale(name, table.units)
@@ -272,8 +292,11 @@ def stated_rate(table: Table, rig: Rig) -> float:
     return float(rig.sample_rate or file_rate or 0.0)
 
 
-def _rate_of_times(screen: TimeAxisScreen, table: Table) -> float:
-    rate, stated = screen.sample_rate(), table.sample_rate
+def _rate(clock: _Clock, table: Table, rig: Rig) -> float:
+    """The rate [Hz] by the times that the rig names, or as stated."""
+    if not isinstance(clock, TimeAxisScreen):
+        return stated_rate(table, rig)
+    rate, stated = clock.sample_rate(), table.sample_rate
     if stated is not None and abs(stated / rate - 1) > JITTER:
         what = f"is sampled at {stated:g} Hz by the file itself, at {rate:g} Hz by its times"
         raise DataError(what, table.path, "leave time out of the rig file, or correct the file")
@@ -355,12 +378,15 @@ class RawRecording:
     @cached_property
     def sample_rate(self) -> float:
         """Rate [Hz] as the rig file or the raw file states it, or by the time column, read first."""
-        if not self.rig.time:
-            return stated_rate(self._table, self.rig)
-        screen = TimeAxisScreen(self.rig.time)
-        for (times,) in self._table.column_chunks([self.rig.time]):
-            screen.add(np.asarray(times, np.float64) * time_scale(self.rig.time, self._table.units))
-        return _rate_of_times(screen, self._table)
+        clock = _clock(self._table, self.rig)
+        return _rate(self._read_times(clock) if self.rig.time else clock, self._table, self.rig)
+
+    def _read_times(self, clock: _Clock) -> _Clock:
+        if clock is not None:
+            scale = time_scale(self.rig.time, self._table.units)
+            for (times,) in self._table.column_chunks([clock.column]):
+                clock.add(np.asarray(times, np.float64) * scale)
+        return clock
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -393,7 +419,9 @@ class RawRecording:
                 if not self._sha256:
                     digest.advance(screen.n_sample / self.n_sample)
                 yield columns
-            self._findings = screen.findings()
+            clock = None if self.rig.time else self._read_times(_clock(self._table, self.rig))
+            of_times = clock.findings() if isinstance(clock, LostSamples) else ()
+            self._findings = (*screen.findings(), *of_times)
             self._sha256 = self._sha256 or digest.hexdigest()
 
     def _screen(self, screen: ChannelScreen, columns: Sequence[FloatArray]) -> None:

@@ -52,6 +52,10 @@ class JoinedTable:
         self.sample_rate = rates[0][1] if rates else None
         self._cut: list[tuple[Path, int, int]] = []
 
+    def file_of(self, column: str) -> str:
+        """The file in which a column stands."""
+        return self._tables[self._place[column][0]].path.name
+
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file]; DataError for times that do not fit."""
         places = [self._place[column] for column in columns]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -158,6 +159,9 @@ COARSE = 0.1
 LEAST = 0.75
 # No recorder samples faster [Hz], none waits longer between two samples than as many seconds.
 FASTEST = 1e12
+# The same of a clock beside a stated rate; last printed digits that no rounding adds to a step; share of
+# steps that are hardly any.
+LONE, DOUBLED, HARDLY_ANY = 0.05, 1.5, 1e-4
 # Samples of which the sums are made at once.
 IN_CACHE = 1 << 13
 # Times with more significant digits are exact enough.
@@ -332,7 +336,7 @@ class TimeAxisScreen:
     """Check of a time column [s] for equal, rising steps, fed block by block."""
 
     def __init__(self, column: str) -> None:
-        self._column = column
+        self.column = column
         self._first = self._last = np.nan
         self._smallest, self._largest = (np.inf, -1), (-np.inf, -1)
         self._n_sample = 0
@@ -346,7 +350,7 @@ class TimeAxisScreen:
             return
         if not np.all(np.isfinite(times)):
             sample = self._n_sample + int(np.argmax(~np.isfinite(times)))
-            raise DataError(f"the time column '{self._column}' has no number at sample {sample}")
+            raise DataError(f"the time column '{self.column}' has no number at sample {sample}")
         joined = times if self._n_sample == 0 else np.concatenate([[self._last], times])
         offset = max(self._n_sample - 1, 0)
         steps = np.diff(joined)
@@ -354,7 +358,7 @@ class TimeAxisScreen:
             if np.any(steps < 0):
                 sample = offset + 1 + int(np.argmax(steps < 0))
                 at = f"sample {sample} ({joined[sample - offset]:g} s)"
-                raise DataError(f"the time column '{self._column}' does not rise at {at}")
+                raise DataError(f"the time column '{self.column}' does not rise at {at}")
             if np.isnan(self._typical):
                 self._typical = float(np.median(steps))
             self._smallest = min(self._smallest, (float(steps.min()), offset + 1 + int(steps.argmin())))
@@ -372,7 +376,7 @@ class TimeAxisScreen:
         rounding of the times.
         """
         if self._n_sample < 2:
-            raise DataError(f"the time column '{self._column}' has fewer than two samples")
+            raise DataError(f"the time column '{self.column}' has fewer than two samples")
         step = (self._last - self._first) / (self._n_sample - 1)
         # Coarsely printed times make equal steps differ by one last digit (half a digit at either end). That
         # is not allowed for where a step is hardly longer than the digit and the median step equals the mean:
@@ -393,12 +397,12 @@ class TimeAxisScreen:
         stored = float(np.spacing(largest))
         allowed = JITTER * step + stored + (resolution if coarse else 0.0)
         if self._smallest[0] <= 0 and not (coarse and step > LEAST * resolution):
-            what = f"the time column '{self._column}' does not rise at sample {self._smallest[1]}"
+            what = f"the time column '{self.column}' does not rise at sample {self._smallest[1]}"
             hint = "times of too few digits? give sample_rate in the rig file instead of time"
             raise DataError(what, hint=hint)
         for extreme, sample in (self._largest, self._smallest):
             if abs(extreme - step) > allowed:
-                what = f"the time steps of column '{self._column}' are not equal"
+                what = f"the time steps of column '{self.column}' are not equal"
                 at, usual = f"{extreme:g} s at sample {sample}", self._typical or step
                 whole = round(extreme / usual)
                 # A sampling rate in place of such times would move all that follows.
@@ -412,12 +416,58 @@ class TimeAxisScreen:
                     f"{what}: {at}, {step:g} s on average", hint=f"{hint}rig file instead of time"
                 )
         if not 1 / FASTEST <= step <= FASTEST:
-            what = f"the time steps of column '{self._column}' are {step:g} s"
+            what = f"the time steps of column '{self.column}' are {step:g} s"
             raise DataError(
                 what, hint=f"rates lie between {1 / FASTEST:g} and {FASTEST:g} Hz: check the unit of the time"
             )
         rounded = self._largest[0] - self._smallest[0] > 0.5 * resolution
         return plain_rate(step, resolution / (self._n_sample - 1) if rounded else 0.0)
+
+
+class LostSamples:
+    """Samples that the times in *column* do not have, fed block by block, where a rate is stated beside them.
+    Told by a clock without jitter alone, of which every step is the usual one or a whole multiple. Steps that
+    its digits may have doubled count where there are hardly any.
+    """
+
+    def __init__(self, column: str) -> None:
+        self.column, self._last, self._usual = column, np.nan, np.nan
+        self._is_even, self._n_sample = True, 0
+        # Lost samples, places, and the first sample after one with its time: of all steps, and of those that
+        # digits cannot explain.
+        self._gaps: list[list[Any]] = [[0, 0, None], [0, 0, None]]
+
+    def add(self, times: FloatArray) -> None:
+        """The next times (n,) [any unit]."""
+        steps = np.diff(times, prepend=self._last)
+        if not self._n_sample and times.size > 1:
+            self._usual = steps[0] = float(np.median(steps[1:]))
+        resolution = _printed_resolution(times) if np.all(np.isfinite(times)) and times.size else np.inf
+        lost = np.round(steps / self._usual) - 1 if self._usual > 0 else np.full(steps.size, np.nan)
+        beside = np.abs(steps - (lost + 1) * self._usual)
+        # What is no number is not even.
+        self._is_even &= bool(np.all((lost >= 0) & (beside <= LONE * self._usual + resolution)))
+        for gap, least in zip(self._gaps, (0.0, DOUBLED * resolution), strict=True):
+            places = np.flatnonzero((lost > 0) & (lost * self._usual >= least))
+            if places.size:
+                gap[2] = gap[2] or (self._n_sample + int(places[0]), float(times[places[0]]))
+                gap[0], gap[1] = gap[0] + int(np.sum(lost[places])), gap[1] + places.size
+        self._last, self._n_sample = (
+            float(times[-1]) if times.size else self._last,
+            self._n_sample + times.size,
+        )
+
+    def findings(self) -> tuple[Finding, ...]:
+        """A warning of the samples that are lost, with the first place."""
+        lost, places, first = self._gaps[0]
+        if places - self._gaps[1][1] > 1 + HARDLY_ANY * self._n_sample:
+            lost, _, first = self._gaps[1]
+        if not self._is_even or not lost:
+            return ()
+        sample, at = first
+        what = f"by the column '{self.column}' {lost} sample(s) are lost, the first before sample {sample}"
+        hint = "cut the recording there: `sample_rate` takes what follows for earlier than it was"
+        return (Finding("gap", f"{what} ({at:g}); {hint}"),)
 
 
 def plain_rate(step: float, uncertainty: float) -> float:

@@ -71,8 +71,10 @@ def refuse_missing(source: SampleSource, block: FloatArray, columns: Sequence[in
     sample, column = (int(n) for n in missing[0])
     where = f"sample {start + sample} ({(start + sample) / source.sample_rate:g} s)"
     hint = "labpipe does not fill gaps; cut the recording there or record it again"
-    what = f"channel '{source.channels[columns[column]].name}' of '{source.name}' has no number at {where}"
-    raise DataError(what, hint=hint)
+    name = source.channels[columns[column]].name
+    what = f"channel '{name}' of '{source.name}' has no number at {where}"
+    # Of joined files the one that holds the channel.
+    raise DataError(what, getattr(source, "files", {}).get(name, ""), hint)
 
 
 FORCE = "force"

@@ -10,13 +10,13 @@ import numpy as np
 import scipy
 from scipy import fft
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.records.response import FactoredCovariance, variance_of
 from labpipe.records.uncertain import MatrixError, Uncertainty
-from labpipe.spectra import damping
+from labpipe.spectra import damping, windows
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
 from labpipe.spectra.covariance import ENOUGH_DOF, corrected
@@ -24,7 +24,6 @@ from labpipe.spectra.ports import Layout, Parts, left_out, lines_left, parts_at_
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.welch import CrossSpectra
-from labpipe.spectra.windows import exponential_correlation, exponential_window, force_window
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
 CLIPPED_RUN = 3
@@ -196,14 +195,12 @@ WINDOW = "give `impact: {force_window: ...}`"
 TAKEN_OFF = "that is taken off, as far as noise does not change"
 AFTER_HITS, IN_WINDOW = "after its hits makes H low by", "within its window moves H by"
 SHORTEN = "shorten `force_window` to a little more than the contact"
+COUNTED = f"intervals count that; {SHORTEN}"
 # Standard errors of a gain common to all lines by which noise of the force may move it without a word.
 MOST_COMMON = 0.5
 # Lines to either side over which noise of the force is alike, the largest share of it that is taken off, and
 # the least part of the noise of H that is that of the responses.
 AROUND, MOST_NOISE, LEAST_PART = 16, 0.9, 1e-6
-# Errors of a force under its window beside the largest from which on they count, and twice the band times the
-# length of the window up to which they are told.
-LEAST_COURSE, MOST_COURSES = 0.03, 24
 # Relative standard deviation of an FRF below which its scatter is rounding.
 ROUNDING = 1e-10
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
@@ -255,7 +252,7 @@ def _with_window_noise(
     lines, before the damping of a window is taken out.
     """
     courses = force_courses(averages, layout)
-    hint = f"intervals count that; {SHORTEN}" if courses else SHORTEN
+    hint = COUNTED if courses else SHORTEN
     named = without_force_noise(parts, errors, layout, IN_WINDOW, hint, taken_off=False)
     if len(named.findings) == len(parts.findings) or not courses:
         return named
@@ -427,7 +424,7 @@ class _HitAverage:
         # That under which the blocks stand: of `decay`, or applied by the analyser.
         self._exponential: FloatArray = np.ones(self.n_sample)
         if settings.damping_window is not None:
-            self._exponential = exponential_window(
+            self._exponential = windows.exponential_window(
                 self.n_sample, settings.damping_window * source.sample_rate
             )
             # Neighbours of the band's edges, by which its lines are corrected for the window's damping.
@@ -460,7 +457,7 @@ class _HitAverage:
         samples, length = hit.samples.copy(), self._settings.impact.force_window
         window: FloatArray = np.ones(self.n_sample)
         if length is not None:
-            window = force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
+            window = windows.force_window(self.n_sample, hit.trigger, length * self._source.sample_rate)
         samples[:, self.force] *= window
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
@@ -527,32 +524,23 @@ class _HitAverage:
         return replace(parts, hits=hits, hit_numbers=numbers, hit_peaks=peaks)
 
     def window_shapes(self) -> ComplexArray | None:
-        """Amplitudes (n_line, n) [N s per spacing] of the force's noise within the window of a hit, counted
-        from its trigger, by n independent real numbers of variance 1 that hold nearly all of it; None where
-        these are more than MOST_COURSES.
-        """
+        """The *window_shapes* of the force's noise in a hit [N s per spacing]."""
         assert self._settings.impact.force_window is not None
         length, trigger = self._settings.impact.force_window * self._source.sample_rate, self._alone[0][2]
-        window = force_window(self.n_sample, trigger, length) * self._exponential
-        at = np.flatnonzero(window)
-        # Twice the band times the length of the window.
-        if 2 * len(self._sum) * at.size > MOST_COURSES * self.n_sample:
-            return None
-        shapes = self._turned(at - trigger) * window[at]
-        _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)
-        noise = np.sqrt(self.force_noise()[0] / self.n_hit / np.sum(window**2))
-        return noise[:, None] * (shapes @ rows[sizes > LEAST_COURSE * sizes[0]].T)
+        window = windows.force_window(self.n_sample, trigger, length) * self._exponential
+        shapes = windows.window_shapes(window, trigger, np.arange(self._lines.start, self._lines.stop))
+        return None if shapes is None else np.sqrt(self.force_noise()[0] / self.n_hit)[:, None] * shapes
 
-    def _turned(self, samples: IntArray) -> ComplexArray:
-        """exp(-jwt) (n_line, n) of the lines at *samples* (n,)."""
-        lines = np.arange(self._lines.start, self._lines.stop)
-        return np.exp(-2j * np.pi / self.n_sample * np.outer(lines, samples))
+    def _from_triggers(self) -> ComplexArray:
+        """Amplitudes (n_hit, n_line, n_channel) of every hit, counted from its trigger."""
+        numbers = np.arange(self._lines.start, self._lines.stop)
+        triggers = np.array([trigger for _, _, trigger, _ in self._alone])
+        amplitudes = np.array([amplitude for *_, amplitude in self._alone])
+        return np.asarray(amplitudes * windows.turned(numbers, -triggers, self.n_sample).T[:, :, None])
 
     def mean_force(self) -> ComplexArray:
         """The sum (n_line,) [N s per spacing] of the forces of all hits, each counted from its trigger."""
-        turned = self._turned(np.array([trigger for _, _, trigger, _ in self._alone]))
-        forces = np.array([amplitude[:, self.force] for *_, amplitude in self._alone])
-        return np.einsum("hl,lh->l", forces, turned.conj())
+        return np.asarray(np.sum(self._from_triggers()[:, :, self.force], axis=0))
 
     def aligned(self, parts: Parts, force: int, outputs: Sequence[int]) -> _HitAverage:
         """The average with every hit's force less what its responses, beside those of all hits, say of noise
@@ -566,16 +554,11 @@ class _HitAverage:
         response = parts.matrix[:, here, force]
         if self._settings.estimator == "H1":
             noise, power = self.force_noise()
-            response = response / (1 - np.minimum(noise / power, MOST_NOISE) * (1 - 1 / self.n_hit))[:, None]
-        other._sum = np.zeros_like(self._sum)
-        for _, _, trigger, amplitude in self._alone:
-            moved, amplitude = shapes * self._turned(np.array([trigger])), amplitude.copy()
-            left = amplitude[:, np.array(outputs)[here]] - response * amplitude[:, [self.force]]
-            columns = -(response * weights)[:, :, None] * moved[:, None, :]
-            rows = columns.reshape(left.size, -1), (left * weights).reshape(-1, 1)
-            design, right = (np.concatenate([of.real, of.imag]) for of in rows)
-            amplitude[:, self.force] -= moved @ np.linalg.lstsq(design, right[:, 0], rcond=None)[0]
-            other._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
+            response = response / (1 - force_error(noise, power, self.n_hit, windowed=False))[:, None]
+        hits = self._from_triggers()
+        motion, of_hits = hits[:, :, np.array(outputs)[here]], hits[:, :, self.force]
+        hits[:, :, self.force] = windows.without_window_noise(motion, of_hits, response, weights, shapes)
+        other._sum = np.einsum("hla,hlb->lab", hits, hits.conj())
         return other
 
     def slow_finding(self) -> Finding:
@@ -594,4 +577,4 @@ class _HitAverage:
         """
         if self._settings.damping_window is None:
             return np.empty(0, np.complex128)
-        return exponential_correlation(self._exponential, float(np.mean(self._origins)))
+        return windows.exponential_correlation(self._exponential, float(np.mean(self._origins)))

@@ -40,6 +40,15 @@ from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
 
+def no_line(acting: BoolArray) -> DataError:
+    """The fault of forces that act, by *acting* (n_line, n_force), on no line together."""
+    if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
+        what = "no line is excited by all forces independently: their lines are interleaved"
+        return DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
+    hint = "check `period` and `band`, or raise the level"
+    return DataError("no line of the force exceeds its noise", hint=hint)
+
+
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF H = Y pinv(U) of the period averages of all recordings, at the lines where every force acts.
     DataError when no line of a force exceeds its noise, or when the forces are not independent. Equation
@@ -56,11 +65,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and np.any(lines):
         lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
-        if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
-            what = "no line is excited by all forces independently: their lines are interleaved"
-            raise DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-        hint = "check `period` and `band`, or raise the level"
-        raise DataError("no line of the force exceeds its noise", hint=hint)
+        raise no_line(acting)
     n_input = len(layout.inputs)
     mean = np.stack([layout.padded(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)

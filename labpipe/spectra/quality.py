@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy import fft, optimize
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import gamma_tail
@@ -315,10 +315,10 @@ class AliasingMonitor(DerivedRecording):
         return scale * np.array([self._power[lines].mean(axis=0) for lines in (above, inside)])
 
 
-# 1 / coherence - 1 at a peak over that beside it, from which on blocks leak there: noise of the response lets
-# it fall at the peak, that of the force and of gains leaves it even, to a factor of 4 in 99 of 100 tables of
-# three averages or more. Lines within the half-power width, and beside it, that are needed.
-DIP, LINES_OF_PEAK, LINES_BESIDE = 4.0, 3, 8
+# 1 / coherence - 1 at a peak over what noise beside it makes there, a / |H|^2 of the response and b of force
+# and gains, from which on blocks leak: one in a hundred tables of five averages has so much by chance. Lines
+# within the half-power width, and beside it, that are needed; rounds that find a and b.
+DIP, LINES_OF_PEAK, LINES_BESIDE, ROUNDS = 4.0, 3, 8, 8
 # Half-power widths from the peak between which lines are beside it; coherence of lines that may be a peak.
 BESIDE, OF_PEAK = (1.0, 4.0), 0.5
 
@@ -335,8 +335,9 @@ def leaking_peaks(response: FrequencyResponse) -> tuple[Finding, ...]:
             if found:
                 what = (
                     f"{output.label} over {force.label}: coherence falls at the peak at {found[0]:.4g} Hz, "
-                    f"where 1 - coherence is {found[1]:.2g} times what it is beside it: as where blocks of "
-                    "random data leak, which makes damping too large, and no standard error shows it"
+                    f"where 1 - coherence is {found[1]:.2g} times what noise makes of it, by the lines "
+                    "beside: as where blocks of random data leak, which makes damping too large, and no "
+                    "standard error shows it"
                 )
                 cure = (
                     "state `window:` and `excitation: random` in the entry under frfs:, or use longer blocks"
@@ -346,7 +347,9 @@ def leaking_peaks(response: FrequencyResponse) -> tuple[Finding, ...]:
 
 
 def _dip(frequency: FloatArray, h: ComplexArray, coherence: FloatArray) -> tuple[float, float] | None:
-    """The highest peak [Hz] of an element and by what 1 / coherence - 1 [1] rises there, beyond DIP."""
+    """The highest peak [Hz] of an element and by what 1 / coherence - 1 [1], which rises there, is beyond DIP
+    times the likeliest a / |H|^2 + b of exponential values beside it.
+    """
     if not np.all(coherence > 0) or frequency.size < LINES_BESIDE:
         return None
     # Beyond the band of the force H is noise over noise.
@@ -360,8 +363,14 @@ def _dip(frequency: FloatArray, h: ComplexArray, coherence: FloatArray) -> tuple
     if inside.sum() < LINES_OF_PEAK or beside.sum() < LINES_BESIDE:
         return None
     unexplained = 1 / coherence - 1
+    courses = np.stack([np.min(np.abs(h[beside])) ** 2 / np.abs(h) ** 2, np.ones(h.size)], axis=1)
+    noise = np.ones(h.size)
+    for _ in range(ROUNDS):
+        weighted = courses[beside] / noise[beside, None], unexplained[beside] / noise[beside]
+        noise = np.maximum(courses @ optimize.nnls(*weighted)[0], np.finfo(float).tiny)
     there, usual = np.mean(unexplained[inside]), np.median(unexplained[beside])
-    return (peak.frequency, float(there / usual)) if there > DIP * usual > 0 else None
+    ratio = float(there / np.mean(noise[inside]))
+    return (peak.frequency, ratio) if ratio > DIP and there > usual > 0 else None
 
 
 def aliasing_findings(

@@ -106,11 +106,11 @@ class Course:
     times: FloatArray
     values: ComplexArray
 
-    def deviation(self) -> FloatArray:
-        """|X - its mean over the last half|^2 over the noise from differences there, less what noise gives,
-        (n_block, n_channel) [1].
+    def deviation(self, part: int) -> FloatArray:
+        """|X - its mean over the last *part*, a half or a quarter|^2 over the noise from differences there,
+        less what noise gives, (n_block, n_channel) [1].
         """
-        half = self.values[self.values.shape[0] // 2 :]
+        half = self.values[-max(-(-self.values.shape[0] // part), LEAST_BLOCKS) :]
         n = half.shape[0]
         noise = np.mean(np.abs(np.diff(half, axis=0)) ** 2, axis=0) / 2
         floor = LEAST_NOISE * np.mean(np.abs(half), axis=0)
@@ -129,11 +129,18 @@ def settle_time(courses: Sequence[Course]) -> float:
     if not courses:
         what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
         raise DataError(what, hint="state `settle`")
+    with contextlib.suppress(DataError):
+        return _settled(courses, 2)
+    # A transient that is seen beyond the middle may be over in the last quarter.
+    return _settled(courses, 4)
+
+
+def _settled(courses: Sequence[Course], part: int) -> float:
     longest = reach = max(float(course.times[-1]) for course in courses)
     block = min(float(course.times[0]) for course in courses) * 2
     while True:
         edges = np.linspace(0, reach * (1 + 1e-9), N_BIN + 1)
-        time, excess, error = _bin_means(courses, edges)
+        time, excess, error = _bin_means(courses, edges, part)
         seen = excess > SEEN * error
         last = int(np.argmin(seen)) if not np.all(seen) else seen.size
         if last == 0:
@@ -143,7 +150,8 @@ def settle_time(courses: Sequence[Course]) -> float:
         if FINE * seen_to >= reach or reach <= N_BIN * block:
             break
         reach = max(FINE * seen_to, N_BIN * block)
-    if time[last - 1] > 0.6 * longest:
+    # A tenth beyond where the last part begins.
+    if time[last - 1] > (1.1 - 1 / part) * longest:
         what = (
             f"the responses have not settled {time[last - 1]:.3g} s after a step, where the dwells last "
             f"{longest:.3g} s"
@@ -154,17 +162,19 @@ def settle_time(courses: Sequence[Course]) -> float:
     return seen_to + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
 
 
-def _bin_means(courses: Sequence[Course], edges: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _bin_means(
+    courses: Sequence[Course], edges: FloatArray, part: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     n_bin = edges.size - 1
     total, variance, when, count = np.zeros((4, n_bin))
     for course in courses:
         inside = course.times <= edges[-1]
         place = np.minimum(np.searchsorted(edges, course.times[inside], side="right") - 1, n_bin - 1)
         number = np.bincount(place, minlength=n_bin)
-        deviation, at_least_one = course.deviation()[inside], np.maximum(number, 1)
+        deviation, at_least_one = course.deviation(part)[inside], np.maximum(number, 1)
         total += np.bincount(place, deviation.sum(axis=1), n_bin) / at_least_one
         # |noise|^2 of a block over its estimate from few others: F with 2 and about n degrees of freedom.
-        of_block = deviation.shape[1] * (1.0 + 8.0 / inside.size)
+        of_block = deviation.shape[1] * (1.0 + 4.0 * part / inside.size)
         variance += np.where(number > 0, of_block / at_least_one, 0.0)
         when += np.bincount(place, course.times[inside], n_bin)
         count += number

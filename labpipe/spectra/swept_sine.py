@@ -468,7 +468,8 @@ def _bursts(
 def _low_by_noise(blocks: ComplexArray, lines: IntArray, layout: Layout, n_sample: int) -> list[FloatArray]:
     """How low least squares make H by noise n in the power s + n of a recording's force, (n_line,) [1] each:
     (1 - 1 / n_block) n / (s + n). Repeated sweeps, alike but for a delay by the correlation of their forces,
-    have the coherence s / (s + n) over lines around; 0 without any, and where several forces act.
+    one of them backwards in time if it falls where the other rises, have the coherence s / (s + n) over lines
+    around; 0 without any, and where several forces act.
     """
     forces = blocks[:, :, : len(layout.inputs)]
     size, every = np.sum(np.abs(forces) ** 2, axis=1), np.ones(lines.size, bool)
@@ -478,14 +479,14 @@ def _low_by_noise(blocks: ComplexArray, lines: IntArray, layout: Layout, n_sampl
         of_pairs = []
         for pair in itertools.islice(pairs, MOST_PAIRS):
             u, v = forces[list(pair), :, force]
-            cross = np.zeros(n_sample, np.complex128)
-            cross[lines] = u * v.conj()
+            cross = np.zeros((2, n_sample), np.complex128)
+            cross[:, lines] = u * v.conj(), u * v
             correlation = n_sample * np.abs(fft.ifft(cross))
-            late = int(np.argmax(correlation))
-            # Sweeps of other speeds or directions share no more than a part of their lines at any delay.
-            if correlation[late] < REPEATED * np.linalg.norm(u) * np.linalg.norm(v):
+            way, late = np.unravel_index(np.argmax(correlation), correlation.shape)
+            # Sweeps of other speeds share no more than a part of their lines at any delay.
+            if correlation[way, late] < REPEATED * np.linalg.norm(u) * np.linalg.norm(v):
                 continue
-            cross = cross[lines] * np.exp(2j * np.pi * lines * late / n_sample)
+            cross = cross[way, lines] * np.exp(2j * np.pi * lines * late / n_sample)
             means = (neighbourhood_mean(x, every, COHERENT) for x in (cross, np.abs(u) ** 2, np.abs(v) ** 2))
             shared, one, other = means
             of_pairs.append(1 - np.abs(shared) / np.sqrt(one * other))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError
 from labpipe.records.response import Blocks
 
@@ -20,6 +20,9 @@ SHARED = 1e-3
 FURTHEST_LINE = 20
 # The same for the exponential window, whose noise falls off slowly: as one over the distance.
 FAINT = 0.02
+# Errors of a force under its window beside the largest from which on they count, and twice the band times the
+# length of the window up to which they are told.
+LEAST_COURSE, MOST_COURSES = 0.03, 24
 # Windows whose parameters are numbers of samples.
 IN_SAMPLES = (
     "exponential",
@@ -211,3 +214,40 @@ def exponential_window(n_sample: int, constant: float) -> FloatArray:
     force and outputs alike, so that their FRF is exactly H(j w + 1/constant). Equation (frf-exponential).
     """
     return np.exp(-np.arange(n_sample) / constant)
+
+
+def turned(lines: IntArray, samples: IntArray, n_sample: int) -> ComplexArray:
+    """exp(-jwt) (n_line, n) [1] of *lines* of a block of *n_sample* samples at *samples* (n,)."""
+    return np.exp(-2j * np.pi / n_sample * np.outer(lines, samples))
+
+
+def window_shapes(
+    window: FloatArray, trigger: int, lines: IntArray, most: int = MOST_COURSES
+) -> ComplexArray | None:
+    """Amplitudes (n_line, n) [1] at *lines* of white noise under the *window* (n_sample,) of a hit, counted
+    from its *trigger* and relative to the root of its power, by n independent real numbers of variance 1 that
+    hold nearly all of it; None where these are more than *most*.
+    """
+    at = np.flatnonzero(window)
+    # Twice the band times the length of the window.
+    if 2 * lines.size * at.size > most * window.size:
+        return None
+    shapes = turned(lines, at - trigger, window.size) * (window[at] / np.linalg.norm(window))
+    _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)
+    shapes = shapes @ rows[sizes > LEAST_COURSE * sizes[0]].T
+    # Of hits with more no noise would be left beside them.
+    return shapes if shapes.shape[1] <= lines.size else None
+
+
+def without_window_noise(
+    motion: ComplexArray, force: ComplexArray, gain: ComplexArray, weights: FloatArray, shapes: ComplexArray
+) -> ComplexArray:
+    """The *force* (n_hit, n_line) [N s per spacing] of hits less the sum of *shapes* (n_line, n) that best
+    explains what their *motion* (n_hit, n_line, n_output) is beside *gain* (n_line, n_output) times it, by
+    *weights* (n_line, n_output) that are one over its noise.
+    """
+    left = (motion - gain * force[..., None]) * weights
+    columns = -(gain * weights)[:, :, None] * shapes[:, None, :]
+    rows = columns.reshape(-1, shapes.shape[1]), left.reshape(len(left), -1).T
+    design, right = (np.concatenate([of.real, of.imag]) for of in rows)
+    return np.asarray(force - (shapes @ np.linalg.lstsq(design, right, rcond=None)[0]).T)

@@ -118,6 +118,13 @@ def test_unsaid_it_makes_the_damping_too_large(tmp_path: Path) -> None:
     assert not of_table(tmp_path / "h.txt", excitation="random").findings
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_the_response_hides_no_leakage_at_a_peak(tmp_path: Path, seed: int) -> None:
+    """It lowers the coherence beside the peak: 1 - coherence rises less there than by leakage alone."""
+    table(tmp_path / "h.txt", seed, noise=0.15)
+    assert [f.code for f in of_table(tmp_path / "h.txt").findings] == ["leakage"]
+
+
 def test_coherence_of_hits_falls_nowhere(tmp_path: Path) -> None:
     """Five hits with noise of response and force, and gains that differ by 3 %: none of 20 tables."""
     frequency = np.arange(50 * TABLE_BLOCK, 70 * TABLE_BLOCK) / TABLE_BLOCK

@@ -23,11 +23,13 @@ from labpipe.project.ingest import (
     ingest,
     ingest_all,
     is_recording,
+    raw_recording,
     recording_refs,
     unique_names,
 )
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files.table import open_table
+from labpipe.spectra.channels import checked_blocks
 
 TIMED = 'name: R\ntime: "t [s]"\nchannels:\n'
 RATED = "name: R\nsample_rate: 100 Hz\nchannels:\n"
@@ -166,6 +168,32 @@ def test_a_gap_in_time_is_named_by_its_sample(tmp_path: Path, place: int, said: 
     with pytest.raises(DataError, match=rf"not equal.*sample {said}\b"):
         ingested(tmp_path, raw, rig_file(tmp_path, head=TIMED))
     assert not (tmp_path / "out").exists()
+
+
+def test_lost_rows_beside_a_stated_rate_are_named(tmp_path: Path) -> None:
+    """Of a clock in the file, though the rig file states the rate; in the raw file as it is read as well."""
+    n = np.arange(90)
+    rows = np.delete(np.column_stack([n / 100, np.sin(n), np.cos(n)]), 40, axis=0)
+    recording = ingested(tmp_path, csv_file(tmp_path, ["t [s]", *TWO], rows), rig_file(tmp_path))
+    pq.write_table(pa.table(dict(zip(["t [s]", *TWO], rows.T, strict=True))), tmp_path / "run.parquet")
+    raw = raw_recording(tmp_path / "run.parquet", load_rig(tmp_path / "rig.yaml"), tmp_path)
+    assert recording.sample_rate == 100.0 and raw is not None
+    for findings in (recording.findings, raw.findings):
+        (gap,) = findings
+        assert gap.code == "gap" and "1 sample(s) are lost, the first before sample 40 (0.41)" in gap.message
+
+
+def test_a_missing_number_is_named_by_its_own_file(tmp_path: Path) -> None:
+    t, y = np.arange(90) / 100, np.where(np.arange(90) == 40, np.nan, np.arange(90.0))
+    paths = [
+        csv_file(tmp_path, ["t [s]", name], np.column_stack([t, column]), f"{name[0]}.csv")
+        for name, column in zip(TWO, (np.sin(t), y), strict=True)
+    ]
+    with output_folder(tmp_path / "out") as output:
+        rig = load_rig(rig_file(tmp_path, head=TIMED))
+        joined = ingest(paths[0], rig, output, "run", tmp_path, paths[1:])
+        with pytest.raises(DataError, match=r"y\.csv: channel 'y' of 'f' has no number at sample 40 "):
+            list(checked_blocks(joined))
 
 
 def test_time_that_runs_backwards_is_refused(tmp_path: Path) -> None:

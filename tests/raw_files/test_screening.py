@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from labpipe.errors import DataError
-from labpipe.raw_files.screening import ChannelScreen, TimeAxisScreen
+from labpipe.raw_files.screening import ChannelScreen, LostSamples, TimeAxisScreen
 
 
 def screened(
@@ -190,6 +190,37 @@ def test_a_lost_sample_is_found_whatever_the_digits() -> None:
         times = np.round(np.delete(np.arange(5000) / 2048, 3000), digits)
         with pytest.raises(DataError, match="not equal"):
             axis(times, 999).sample_rate()
+
+
+@pytest.mark.parametrize("block", [999, 5000])
+@pytest.mark.parametrize("step", [1e-3, 1 / 2048, 1e-5])
+@pytest.mark.parametrize("digits", [5, 6, 9])
+@pytest.mark.parametrize("lost", [0, 1, 7])
+def test_lost_samples_are_told_beside_a_stated_rate(block: int, step: float, digits: int, lost: int) -> None:
+    clock, there = LostSamples("t"), np.delete(np.arange(5000), slice(3000, 3000 + lost))
+    times = np.round(there * step, digits)
+    for start in range(0, times.size, block):
+        clock.add(times[start : start + block])
+    said = [f.message for f in clock.findings()]
+    assert len(said) == (lost > 0)
+    assert all(f"'t' {lost} sample(s) are lost, the first before sample 3000 (" in text for text in said)
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.arange(5000) / 1000 + 3e-4 * np.sin(np.arange(5000) ** 2.0),
+        np.floor(np.arange(5000) / 64) * 0.064,
+        np.round(np.arange(5000) / 2048, 3),
+        np.round(np.arange(5000) * 1.01e-3, 3),
+        np.where(np.arange(5000) == 50, np.nan, np.arange(5000.0)),
+        1.7e9 + np.arange(5000) / 10_000,
+    ],
+)
+def test_clocks_that_jitter_or_have_few_digits_tell_no_lost_sample(times: np.ndarray) -> None:
+    clock = LostSamples("t")
+    clock.add(times)
+    assert clock.findings() == ()
 
 
 def test_dates_in_seconds_are_known_to_their_own_digits_only() -> None:

@@ -24,15 +24,17 @@ from labpipe.estimation.model import DynamicModel, Equation, Setup
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate as FitEstimate
 from labpipe.estimation.transfer_mode import transfer_of
-from labpipe.methods.live import charts, running_fit
+from labpipe.methods.live import charts, running_fit, sources
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
+from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.period_average import LineSpectrum, excited_lines, smoothed_noise
+from labpipe.spectra.periodic import no_line
 from labpipe.spectra.ports import Layout, find_layout, sensor_response
 from labpipe.spectra.settings import SPECTRA, FrfSettings
 
@@ -43,19 +45,12 @@ RINGS_ON = "the response rings on at the end of the block, lengthen `block`"
 
 
 class FollowedFit:
-    """One fit of the pipeline, followed average by average on its own lines and channels, at the *frequency*
-    [Hz] of *lines* of the averages. *block*: how long the response is followed after a hit [s], 0 for
-    periods; *windowed*: its force stands under a window.
+    """One fit of the pipeline, followed average by average on its own lines and channels, among *lines* of
+    those that *cutter* makes. *block*: how long the response is followed after a hit [s], 0 for periods.
     """
 
     def __init__(
-        self,
-        settings: FitSettings,
-        layout: Layout,
-        frequency: FloatArray,
-        lines: IntArray,
-        block: float,
-        windowed: bool,
+        self, settings: FitSettings, layout: Layout, cutter: sources.Cutter, lines: IntArray, block: float
     ) -> None:
         self.settings = settings
         self.setup, rows, columns = _setup(settings, layout)
@@ -65,6 +60,7 @@ class FollowedFit:
         places = (*layout.output_columns[0], *layout.input_columns[0])
         self._channels = [places[port] for port in ports]
         self._columns = columns
+        frequency = cutter.frequency[lines]
         band = settings.band or (settings.bands[0] if settings.bands else None)
         self._lines = np.flatnonzero(lines_in(frequency, band))
         if self._lines.size <= len(model.names):
@@ -77,8 +73,9 @@ class FollowedFit:
         self._form = layout.form
         equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
         self.fit = running_fit.RunningFit(equation)
-        scale = 1 / np.abs(self._sensors[:, -1]) ** 2
-        at = running_fit.ForceLines(lines[self._lines], scale, windowed)
+        size, shapes = np.abs(self._sensors[:, -1:]), cutter.window_shapes(lines[self._lines])
+        shapes = None if shapes is None else shapes * size / self._sensors[:, -1:]
+        at = running_fit.ForceLines(lines[self._lines], 1 / size[:, 0] ** 2, shapes)
         self.sums, self._block = running_fit.Directions(block > 0, at), block
         self.charts = charts.Charts(self.fit)
         self.model = model
@@ -96,12 +93,12 @@ class FollowedFit:
         assert self.estimate is not None
         return self.estimate
 
-    def picked(self, average: running_fit.Average) -> ComplexArray:
+    def picked(self, average: sources.Average) -> ComplexArray:
         """The fit's lines and channels, sensors taken out, (n_line, 1, n_channel) [channels' units]."""
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
 
-    def check(self, averages: Sequence[running_fit.Average]) -> None:
+    def check(self, averages: Sequence[sources.Average]) -> None:
         """FitError for the first *averages* of a direction that show no motion, or no noise at all."""
         z = np.array([self.picked(average) for average in averages])
         for number, port in enumerate(self.setup.outputs):
@@ -158,13 +155,18 @@ class FollowedFit:
         except (LabpipeError, LinAlgError):
             return
         self.by_run = fits[0] if fits else None
+        stated: dict[str, float] = {}
+        if response is not None and response.errors and fits and fits[0].budget is not None:
+            # Noise of the force within its window falls with every hit: it is in that of the averages.
+            budget = fits[0].budget.enlarged({error.uncertainty.source: 0.0 for error in response.errors})
+            stated = dict(zip(budget.names, map(float, budget.systematic), strict=True))
         now = {parameter.name: parameter.value for parameter in self._of_noise()}
         rings = self._rings_on(now)
         self.common = {
             parameter.name: charts.Common(
-                math.hypot(charts.lasting(parameter), rest := rings.get(parameter.name, 0.0)),
+                math.hypot(lasts := charts.lasting(parameter, stated), rest := rings.get(parameter.name, 0)),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
-                RINGS_ON if rest > charts.lasting(parameter) else parameter.reason,
+                RINGS_ON if rest > lasts else parameter.reason,
             )
             for parameter in (fits[0].parameters if fits else ())
             if (parts := parameter.interval) is not None and parameter.name in now
@@ -189,6 +191,7 @@ class FollowedFit:
         inverse = np.linalg.pinv(force)
         matrix = motion @ inverse
         forces_first = np.roll(np.arange(mean.shape[2]), -n_output)
+        changes = self.sums.common()[..., :n_output].swapaxes(2, 3)
         noise = noise[:, :, forces_first][..., forces_first].swapaxes(0, 1)
         least = int(self.sums.counts.min())
         return FrequencyResponse(
@@ -200,6 +203,10 @@ class FollowedFit:
             covariance=covariance_of_periodic(matrix, inverse, noise),
             averages=float(least),
             covariance_dof=float((least - 1) * (2 * running_fit.HALF_WIDTH + 1)),
+            errors=tuple(
+                MatrixError(Uncertainty(f"noise of the force in its window {number}", 1.0, "1"), change)
+                for number, change in enumerate(changes @ inverse, 1)
+            ),
         )
 
     @property
@@ -244,7 +251,7 @@ class FollowedFit:
         half-width *goal* [parameter unit]; None where all did.
         """
         sizes = np.linalg.norm(self.sums.mean[..., len(self.setup.outputs) :], axis=0)
-        acted = np.any(sizes >= running_fit.ACTS * sizes.max(axis=1, keepdims=True), axis=0)
+        acted = np.any(sizes >= sources.ACTS * sizes.max(axis=1, keepdims=True), axis=0)
         forces = [int(n) for n in np.flatnonzero(~acted)]
         if not forces:
             return None
@@ -281,7 +288,7 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     of_all = any((settings.eliminate, settings.bootstrap, settings.monte_carlo, settings.compare))
     several = settings.sliding is not None or settings.peaks or len(settings.bands) > 1
     reasons = (
-        (excitation not in running_fit.CUTTERS, f"{excitation} data are known by all samples together"),
+        (excitation not in sources.CUTTERS, f"{excitation} data are known by all samples together"),
         (not frf.single_averages, "its FRF follows from all averages together"),
         (settings.kind.of == SPECTRA, f"{model} balances all channels by mass and support, not an FRF"),
         (settings.kind.equations is None, f"the model {model} is not linear in its parameters"),
@@ -331,13 +338,13 @@ class Bench(charts.Watch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
     def __post_init__(self) -> None:
-        self.cutter: running_fit.Cutter = running_fit.CUTTERS[self.frf.excitation](
+        self.cutter: sources.Cutter = sources.CUTTERS[self.frf.excitation](
             self.channels, self.sample_rate, self.frf
         )
         self.layout = layout_of(self.cutter.channels, self.sample_rate)
         self.fits: list[FollowedFit] = []
         self.dropped = 0
-        self._waiting: list[running_fit.Average] = []
+        self._waiting: list[sources.Average] = []
         self._energies: list[float] = []
         self._last_start = 0
         self._starts: list[int] = []
@@ -364,9 +371,11 @@ class Bench(charts.Watch):
             made.append(update)
         return made
 
-    def _take(self, average: running_fit.Average) -> charts.Update:
-        event = f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s"
-        fault = average.fault
+    def _take(self, average: sources.Average) -> charts.Update:
+        event, fault = (
+            f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s",
+            average.fault,
+        )
         if not fault and not self.fits:
             self._waiting.append(average)
             # Noise is told by two averages of one direction.
@@ -384,37 +393,34 @@ class Bench(charts.Watch):
             event += f" is left out: {fault}"
         return self._update((event,))
 
-    def _level(self, average: running_fit.Average) -> float:
+    def _level(self, average: sources.Average) -> float:
         """The size of all forces of an average [N]."""
         force = average.amplitude[:, list(self.layout.input_columns[0])]
         return float(np.sqrt(np.mean(np.abs(force) ** 2)))
 
-    def _begin(self, alike: Sequence[running_fit.Average]) -> None:
-        frequency = self.cutter.frequency
-        amplitudes = np.array([average.amplitude for average in alike])
-        excited = np.ones(frequency.size, bool)
+    def _begin(self, alike: Sequence[sources.Average]) -> None:
+        frequency, amplitudes = self.cutter.frequency, np.array([average.amplitude for average in alike])
+        acting = np.ones((frequency.size, 1), bool)
         if not self.hits:
-            mean = amplitudes.mean(axis=0)
-            level = np.sqrt(np.mean(np.abs(mean[:, list(self.layout.input_columns[0])]) ** 2, axis=0))
+            mean, forces = amplitudes.mean(axis=0), np.array(self.layout.input_columns[0])
+            level = np.sqrt(np.mean(np.abs(mean[:, forces]) ** 2, axis=0))
             spread = amplitudes[0] - mean
             noise = spread[:, :, None] * spread[:, None, :].conj()
             raw = LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size))
             spectrum = smoothed_noise(raw, self.frf.smooth)
-            for column, size in zip(self.layout.input_columns[0], level, strict=True):
-                if size >= running_fit.ACTS * level.max():
-                    excited &= excited_lines(spectrum, [column])
-        chosen = excited & lines_in(frequency, self.frf.band, self.frf.exclude)
+            strong = forces[level >= sources.ACTS * level.max()]
+            acting = np.stack([excited_lines(spectrum, [column]) for column in strong], axis=1)
+        acting &= lines_in(frequency, self.frf.band, self.frf.exclude)[:, None]
+        chosen = np.all(acting, axis=1)
         if not chosen.any():
-            raise FitError("no line of the force exceeds its noise", hint="check `period` and `band`")
+            raise no_line(acting)
         self.lines = np.flatnonzero(chosen)
-        length = self.cutter.n_sample / self.sample_rate if self.hits else 0.0
-        block = length * (1 - self.frf.impact.pretrigger)
-        of_lines = frequency[chosen], self.lines, block, self.frf.impact.force_window is not None
-        self.fits = [FollowedFit(fit, self.layout, *of_lines) for fit in self.settings]
+        block = self.hits * self.cutter.n_sample / self.sample_rate * (1 - self.frf.impact.pretrigger)
+        self.fits = [FollowedFit(fit, self.layout, self.cutter, self.lines, block) for fit in self.settings]
         for fit in self.fits:
             fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
-    def _follow(self, average: running_fit.Average) -> str:
+    def _follow(self, average: sources.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
         direction, level = average.direction, self._level(average)
         parts = [fit.picked(average) for fit in self.fits]

@@ -111,30 +111,39 @@ class Charts:
         n_channel) against the fit *before*, and its energy T [1].
         """
         mean, covariance = sums.mean, sums.covariance()
-        _, inverse, _, slopes, weighted = self._fit.parts(mean, covariance, before.values)
+        _, inverse, _, slopes, _ = self._fit.parts(mean, covariance, before.values)
+        errors = np.empty((0, *z.shape), np.complex128)
         if isinstance(sums, running_fit.HitSums):
-            share = np.abs(z[..., -1]) ** 2 / sums.force_power
+            share, errors = np.abs(z[..., -1]) ** 2 / sums.force_power, sums.common([z])
             z = z / z[..., -1:]
         else:
             share = np.full(z.shape[:2], 1.0 / sums.n)
         gain = self._fit.equation.gain(before.values)[:, None]
         of_energy = share
-        if before.misfit:
-            # What the model does not explain is in every average: this one is compared with those before it.
+        if before.misfit or len(errors):
+            # What the model does not explain, and what all lines of the hits before err by together, is in
+            # the fit before: this average is compared with those before it.
             z, of_energy = z - mean, share / (1 + share)
         residual = (gain @ z[..., None])[..., 0]
         scaled_residual = (inverse @ residual[..., None])[..., 0]
-        information, gradient = running_fit.normal_equations(
-            slopes, share[..., None, None] * weighted, share[..., None] * scaled_residual
+        # Errors that lines have in common are more unknowns, each of the size 1.
+        moved, unit = np.moveaxis((gain @ errors[..., None])[..., 0], 0, -1), np.eye(len(errors))
+        (information, gradient), (of_errors, pull) = (
+            running_fit.normal_equations(
+                columns, by[..., None, None] * (inverse @ columns), by[..., None] * scaled_residual
+            )
+            for columns, by in ((np.concatenate([slopes, moved], axis=-1), share), (moved, of_energy))
         )
-        scale = running_fit.scaled(before.information)[1]
-        both = np.outer(scale, scale)
-        covariance_here, others = (
-            np.linalg.pinv(matrix / both, hermitian=True) for matrix in (information, before.information)
-        )
-        shift = -covariance_here @ (gradient / scale)
-        whitened = np.linalg.solve(np.linalg.cholesky(covariance_here + others), shift)
+        n = len(before.values)
+        information[n:, n:] += unit
+        scale = np.append(running_fit.scaled(before.information)[1], np.ones(len(errors)))
+        here = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
+        shift, here = -(here @ (gradient / scale))[:n], here[:n, :n]
+        known = before.information / np.outer(scale[:n], scale[:n])
+        others = np.mean(share) * here if len(errors) else np.linalg.pinv(known, hermitian=True)
+        whitened = np.linalg.solve(np.linalg.cholesky(here + others), shift)
         energy = np.sum(of_energy * np.sum((residual.conj() * scaled_residual).real, axis=2))
+        energy -= pull @ np.linalg.solve(of_errors + unit / (1 + np.mean(share)), pull) / 2
         return whitened, float(energy / residual.size)
 
     def _score(
@@ -349,10 +358,13 @@ class Common:
         return value + self.shift, math.hypot(half, self.half)
 
 
-def lasting(parameter: Parameter) -> float:
-    """The half-width [parameter unit] by model error and stated numbers, which averages do not take away."""
-    parts = parameter.interval
-    return 0.0 if parts is None else NORMAL * math.hypot(parts.discrepancy, parts.systematic)
+def lasting(parameter: Parameter, stated: Mapping[str, float]) -> float:
+    """The half-width [parameter unit] by model error and stated numbers, which averages do not take away; the
+    latter as *stated* by the names of parameters, where they are.
+    """
+    if (parts := parameter.interval) is None:
+        return 0.0
+    return NORMAL * math.hypot(parts.discrepancy, stated.get(parameter.name, parts.systematic))
 
 
 @dataclass(frozen=True)

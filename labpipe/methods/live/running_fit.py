@@ -6,27 +6,20 @@ an exact gradient, and a warm start needs few Gauss-Newton steps per average.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.distributions import f_tail
-from labpipe.errors import DataError
 from labpipe.estimation.model import Equation
 from labpipe.records.finding import Finding
-from labpipe.records.recording import Channel
-from labpipe.spectra import impact
-from labpipe.spectra.bands import line_range
-from labpipe.spectra.channels import Lags
+from labpipe.spectra import impact, windows
 from labpipe.spectra.covariance import noise_shape
-from labpipe.spectra.period_average import neighbourhood_mean, samples_per_period
-from labpipe.spectra.settings import FrfSettings
-from labpipe.spectra.windows import force_window
+from labpipe.spectra.period_average import neighbourhood_mean
 
 # Lines to either side over which the scatter is averaged: it makes the first averages usable.
 HALF_WIDTH = 7
@@ -76,12 +69,13 @@ class PeriodSums:
 @dataclass(frozen=True)
 class ForceLines:
     """Which *lines* (n_line,) of an average a fit has, and the *scale* (n_line,) [1] of squared forces there:
-    that of a sensor's response. *windowed*: under a force window.
+    that of a sensor's response. *shapes* (n_line, n) [1] of noise under a force window, none where these are
+    too many; None without a window.
     """
 
     lines: IntArray
     scale: FloatArray
-    windowed: bool
+    shapes: ComplexArray | None = None
 
 
 class HitSums:
@@ -89,14 +83,17 @@ class HitSums:
 
     An average counts by the energy of its force. The mean is [H; 1], its covariance that of H; *force_power*
     (n_line, n_experiment) [squared force unit]: the sum of |F|^2 over the averages. Noise of the force is
-    taken off H as in a run, where it makes H low.
+    taken off H as in a run, where it makes H low; within a force window hits are aligned as in a run.
     """
 
     def __init__(self, at: ForceLines | None = None) -> None:
-        self.n, self._at, self._windowed = 0, at, at is not None and at.windowed
+        self.n, self._at, self._windowed = 0, at, at is not None and at.shapes is not None
         self._xf = self._xx = np.zeros(1, np.complex128)
         self.force_power = self._noise = np.zeros(1)
+        # Averages under a force window, and their sums once they are aligned.
+        self._hits: list[ComplexArray] = []
         self._low: tuple[FloatArray, float] | None = None
+        self._aligned: HitSums | None = None
 
     def add(self, z: ComplexArray, sign: int = 1) -> None:
         """Take *z* (n_line, n_experiment, n_channel) [channels' units], the force last, in, or out (-1)."""
@@ -105,12 +102,16 @@ class HitSums:
         self._xf = self._xf + sign * x * f[..., None].conj()
         self.force_power = self.force_power + sign * np.abs(f) ** 2
         self._xx = self._xx + sign * x[..., :, None] * x[..., None, :].conj()
-        self._low = None
+        if self._windowed and sign > 0:
+            self._hits.append(z)
+        elif self._windowed:
+            self._hits = [hit for hit in self._hits if hit is not z]
+        self._low = self._aligned = None
 
     def add_noise(self, power: FloatArray, sign: int = 1) -> None:
         """Of the force in an average, (n_line_of_average,) [squared force unit], likewise."""
         self._noise = self._noise + sign * power
-        self._low = None
+        self._low = self._aligned = None
 
     def _error(self) -> tuple[FloatArray, float]:
         """Relative error (n_line,) [1] of H by noise of the force, and how many standard errors of a gain
@@ -119,14 +120,56 @@ class HitSums:
         if self._low is None and (self.n < 2 or not self._noise.any()):
             self._low = np.zeros(len(self.force_power)), 0.0
         elif self._low is None:
-            noise = impact.noise_around(self._noise, self.n)
-            noise = noise if self._at is None else noise[self._at.lines] * self._at.scale
+            noise = self._noise_power()
             error = impact.force_error(noise, self.force_power[:, 0], self.n, windowed=self._windowed)
             h = self._xf / self.force_power[..., None]
             weight = np.abs(h) ** 2 / np.einsum("leoo->leo", self._covariance(h)).real
             common = np.sum(error[:, None, None] * weight, axis=0) * np.sqrt(2 / np.sum(weight, axis=0))
             self._low = error, float(np.max(common))
         return self._low
+
+    def _noise_power(self) -> FloatArray:
+        """That of the force (n_line,) [squared force unit] over all averages."""
+        noise = impact.noise_around(self._noise, self.n)
+        return noise if self._at is None else noise[self._at.lines] * self._at.scale
+
+    def _shapes(self) -> ComplexArray:
+        """Amplitudes (n_line, n) [force unit] of the force's noise within the window of a hit, by independent
+        numbers of variance 1; n of 0 where it does not count.
+        """
+        if self._at is None or self._at.shapes is None or self._error()[1] <= impact.MOST_COMMON:
+            return np.empty((self.force_power.shape[0], 0), np.complex128)
+        return np.asarray(np.sqrt(self._noise_power() / self.n)[:, None] * self._at.shapes)
+
+    def common(self, hits: Sequence[ComplexArray] = ()) -> ComplexArray:
+        """Errors of the mean [H; 1] of these *hits* (n_line, 1, n_channel), of all without any, that lines
+        have in common, (n, n_line, 1, n_channel) [units of H], by noise of the force within its window, as of
+        *force_courses*.
+        """
+        shapes, hits = self._shapes(), hits or self._hits
+        if not shapes.shape[1]:
+            return np.empty((0, *self.mean.shape), np.complex128)
+        force = np.array(hits)[:, :, 0, -1]
+        towards, power = np.sum(force, axis=0), np.sum(np.abs(force) ** 2, axis=0)
+        size = np.maximum(np.abs(towards) * np.sqrt(power), np.finfo(float).tiny)
+        changes = (-shapes * (towards.conj() / size)[:, None]).T[:, :, None, None] * self.mean
+        changes[..., -1] = 0.0
+        return changes
+
+    def _without_window_noise(self) -> HitSums:
+        """The sums of the hits as they are without noise of the force within their window, as in a run."""
+        if self._aligned is None:
+            shapes, self._aligned = self._shapes(), self
+            if shapes.shape[1]:
+                hits, h = np.array(self._hits), self._xf[:, 0] / self.force_power
+                weights = np.einsum("leoo->lo", self._covariance(h[:, None])).real ** -0.5
+                low = impact.force_error(self._noise_power(), self.force_power[:, 0], self.n, windowed=False)
+                force, of = hits[:, :, 0, -1], (h / (1 - low)[:, None], weights, shapes)
+                hits[:, :, 0, -1] = windows.without_window_noise(hits[:, :, 0, :-1], force, *of)
+                self._aligned = HitSums()
+                for hit in hits:
+                    self._aligned.add(hit)
+        return self._aligned
 
     @property
     def _factor(self) -> FloatArray:
@@ -137,7 +180,8 @@ class HitSums:
     @property
     def mean(self) -> ComplexArray:
         """[H; 1], (n_line, n_experiment, n_channel) [response units per force unit]."""
-        h = self._xf * (self._factor[:, None] / self.force_power)[..., None]
+        sums = self._without_window_noise()
+        h = sums._xf * (self._factor[:, None] / sums.force_power)[..., None]
         return np.pad(h, [(0, 0), (0, 0), (0, 1)], constant_values=1)
 
     def covariance(self) -> ComplexArray:
@@ -145,7 +189,10 @@ class HitSums:
         force, or a force that is not recorded, makes it follow |H|^2, which changes within a few lines: it is
         smoothed over the likeliest 1 + rho |H|^2, rho of 0 where that is little better.
         """
-        h = self._covariance(self._xf / self.force_power[..., None]) * self._factor[:, None, None, None] ** 2
+        sums = self._without_window_noise()
+        h = sums._covariance(sums._xf / sums.force_power[..., None]) * self._factor[:, None, None, None] ** 2
+        # A hit's residual has lost one of its numbers for each shape.
+        h = h / (1 - self._shapes().shape[1] / (2 * self._xf.size))
         return np.pad(h, [(0, 0), (0, 0), (0, 1), (0, 1)])
 
     def _covariance(self, h: ComplexArray) -> ComplexArray:
@@ -163,10 +210,10 @@ class HitSums:
 
     def findings(self, fit: str) -> list[Finding]:
         """A warning, as of a run, of noise of the force that moves H."""
-        (error, common), windowed = self._error(), self._at is not None and self._at.windowed
+        error, common = self._error()
         what, hint = (
-            (impact.IN_WINDOW, impact.SHORTEN)
-            if windowed
+            (impact.IN_WINDOW, impact.COUNTED if self._shapes().shape[1] else impact.SHORTEN)
+            if self._windowed
             else (impact.AFTER_HITS, f"{impact.TAKEN_OFF}; {impact.WINDOW}")
         )
         message = f"{fit}: noise of the force {what}"
@@ -207,6 +254,16 @@ class Directions:
     def findings(self, fit: str) -> list[Finding]:
         """What noise of the force does to the mean of hits."""
         return [f for sums in self.shaken.values() if isinstance(sums, HitSums) for f in sums.findings(fit)]
+
+    def common(self) -> ComplexArray:
+        """Errors of the mean that lines have in common, (n, n_line, n_experiment, n_channel) [its units]."""
+        mean, every = self.mean, []
+        for number, sums in enumerate(self.shaken.values()):
+            if isinstance(sums, HitSums):
+                errors = sums.common()
+                every.append(np.zeros((len(errors), *mean.shape), np.complex128))
+                every[-1][:, :, number] = errors[:, :, 0]
+        return np.concatenate(every) if every else np.empty((0, *mean.shape), np.complex128)
 
     def covariance(self) -> ComplexArray:
         """Of the mean, (n_line, n_experiment, n_channel, n_channel) [products of the channels' units]."""
@@ -252,7 +309,7 @@ class RunningFit:
         cold = self.values is None
         start = self._cold(mean, covariance) if self.values is None else self.values
         self.values = self._descend(mean, covariance, start, COLD if cold else WARM)
-        return self._judge(sums.counts, mean, covariance, self.values)
+        return self._judge(sums.counts, mean, covariance, self.values, sums.common())
 
     def parts(
         self, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
@@ -323,11 +380,20 @@ class RunningFit:
         return values
 
     def _judge(
-        self, counts: IntArray, mean: ComplexArray, covariance: ComplexArray, values: FloatArray
+        self,
+        counts: IntArray,
+        mean: ComplexArray,
+        covariance: ComplexArray,
+        values: FloatArray,
+        common: ComplexArray,
     ) -> Estimate:
-        residual, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
-        information, _ = normal_equations(slopes, weighted, multiplier)
+        residual, weight, multiplier, slopes, weighted = self.parts(mean, covariance, values)
+        # Errors that lines have in common are more unknowns, each of the size 1.
+        moved = np.moveaxis((self.equation.gain(values)[:, None] @ common[..., None])[..., 0], 0, -1)
+        both = np.concatenate([slopes, moved], axis=-1)
+        of_both, pull = normal_equations(both, weight @ both, multiplier)
         n_parameter, n_output = values.size, self.equation.n_output
+        information, beside = of_both[:n_parameter, :n_parameter], of_both[n_parameter:, :n_parameter]
         unit, scale = scaled(information)
         identifiable = bool(np.linalg.cond(unit) < SINGULAR)
         inverse = np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale)
@@ -336,12 +402,23 @@ class RunningFit:
         smoothed = (least - 1) * (2 * HALF_WIDTH + 1)
         inflation = smoothed**2 / ((smoothed - n_output) ** 2 - 1)
         covariance_of_values = inflation * inverse
+        shifts = beside @ inverse
+        of_noise, of_common = np.diag(covariance_of_values), shifts.T @ shifts
+        covariance_of_values = covariance_of_values + of_common
         std_error = np.sqrt(np.diag(covariance_of_values))
         shares = moving_mean(2 * np.sum(((slopes @ inverse).conj() * (weighted @ inverse)).real, axis=2))
         spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
-        dof = 2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0)
+        dof = 2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0) * (std_error**2 / of_noise) ** 2
+        if len(shifts):
+            whole, size = scaled(inverse + of_common)
+            information = np.linalg.pinv(whole, hermitian=True) / np.outer(size, size)
         freedom = 2 * residual.size - n_parameter
-        reduced = float(2 * np.sum((multiplier.conj() * residual).real) / freedom)
+        chi2 = float(2 * np.sum((multiplier.conj() * residual).real))
+        if len(shifts):
+            left = of_both[n_parameter:, n_parameter:] - beside @ inverse @ beside.T + np.eye(len(shifts))
+            pull = pull[n_parameter:] - shifts @ pull[:n_parameter]
+            chi2 -= float(pull @ np.linalg.solve(left, pull))
+        reduced = chi2 / freedom
         misfit = bool(f_tail(reduced, freedom, smoothed) < MISFIT_P)
         of_fit = (reduced, misfit, identifiable, information, covariance_of_values)
         return Estimate(n, least, values, std_error, dof, *of_fit)
@@ -358,211 +435,6 @@ def normal_equations(
     slopes: ComplexArray, weighted: ComplexArray, multiplier: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
     """Information 2 Re J^H Lambda^-1 J (n_parameter, n_parameter) and gradient 2 Re J^H lambda [1/unit]."""
-    n_parameter = slopes.shape[-1]
-    flat = slopes.reshape(-1, n_parameter)
-    information = 2 * (flat.conj().T @ weighted.reshape(-1, n_parameter)).real
+    flat, of = (np.reshape(part, (multiplier.size, slopes.shape[-1])) for part in (slopes, weighted))
+    information = 2 * (flat.conj().T @ of).real
     return information, 2 * (flat.conj().T @ multiplier.reshape(-1)).real
-
-
-# Share of the cross spectrum of two forces that one delay explains where they are the same signal.
-SAME_SIGNAL = 0.7
-# Likeness of the proportions of two forces from which on they shake the same direction, and share of the
-# largest one's amplitude with which a force acts.
-SAME_FORCES, ACTS = 0.8, 0.1
-# Least growth of the energy of a force that begins to shake its direction.
-GROWN = 4.0
-# A first hit stands out of the noise before it by so many times its rms.
-FIRST_HIT = 20.0
-# Hits below this share of the usual one tell little.
-WEAK = 0.1
-
-
-@dataclass(frozen=True)
-class Average:
-    """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
-    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI]. *noise*
-    (n_line,) [squared unit of the force] of the force in a hit; *direction*: number of that of its forces.
-    """
-
-    number: int
-    start: int
-    amplitude: ComplexArray
-    peaks: FloatArray
-    fault: str = ""
-    noise: FloatArray | None = None
-    direction: int = 0
-
-
-class _Cutter:
-    """Cuts calibrated blocks into averages; *frequency* (n_line,) [Hz] of their lines."""
-
-    def __init__(
-        self, channels: tuple[Channel, ...], sample_rate: float, n_sample: int, settings: FrfSettings
-    ) -> None:
-        self.channels, self.sample_rate, self.n_sample = channels, sample_rate, n_sample
-        self._forces = [number for number, channel in enumerate(channels) if channel.role == "input"]
-        self._lines = line_range(n_sample, sample_rate, settings.band)
-        self.frequency = np.arange(self._lines.start, self._lines.stop) * (sample_rate / n_sample)
-        self._number = 0
-
-    def _average(
-        self, start: int, samples: FloatArray, peaks: FloatArray, spectrum_of: FloatArray, fault: str
-    ) -> Average:
-        """The average of *samples* (n_sample, n_channel) [SI], by those of *spectrum_of*, ready for it."""
-        there = np.isfinite(samples).all(axis=0)
-        if not there.all():
-            fault = f"no number in channel '{self.channels[int(np.argmin(there))].name}'"
-        whole = fft.rfft(spectrum_of.T, axis=1)[:, self._lines].T * (2 / self.n_sample)
-        return Average(self._number, start, np.asarray(whole), peaks, fault)
-
-
-class PeriodCutter(_Cutter):
-    """Whole periods, the transient ones dropped at the start of each recording, and where another direction
-    is shaken after several periods of one.
-    """
-
-    def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
-        assert settings.period is not None
-        super().__init__(channels, sample_rate, samples_per_period(settings.period, sample_rate), settings)
-        self._skip = self._left = settings.skip
-        self._rest, self._begin = np.empty((0, len(channels))), 0
-        # Energies of the forces in the last period, and for how many the strongest has been the same.
-        self._energies: FloatArray = np.zeros(len(self._forces))
-        self._alike = 0
-        # The first forces of each direction, and what turns those of the present recording to their phases.
-        self._first: dict[int, ComplexArray] = {}
-        self._turns: dict[int, ComplexArray] = {}
-
-    def restart(self) -> None:
-        """The samples that follow belong to another recording: what is not complete is lost."""
-        self._begin, self._rest = self._begin + self._rest.shape[0], self._rest[:0]
-        self._left, self._turns = self._skip, {}
-
-    def add(self, block: FloatArray) -> Iterator[Average]:
-        """The averages that the next samples (n, n_channel) [SI] complete."""
-        self._rest = np.concatenate([self._rest, block])
-        while self._rest.shape[0] >= self.n_sample:
-            period, start = self._rest[: self.n_sample], self._begin
-            self._rest, self._begin = self._rest[self.n_sample :], self._begin + self.n_sample
-            moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
-            if self._turned(np.sum(moved[:, self._forces] ** 2, axis=0)):
-                self._left = self._skip
-            if self._left:
-                self._left -= 1
-                continue
-            self._number += 1
-            yield self._turn(self._average(start, period, np.max(np.abs(moved), axis=0), moved, ""))
-
-    def _turned(self, energies: FloatArray) -> bool:
-        """Whether another force than in several periods before is the strongest now, and grew to be it; by
-        their *energies* (n_force,) [squared SI].
-        """
-        strongest = int(np.argmax(energies))
-        same = strongest == int(np.argmax(self._energies))
-        turned = self._alike > 1 and not same and energies[strongest] > GROWN * self._energies[strongest]
-        self._energies, self._alike = energies, self._alike + 1 if same else 1
-        return bool(turned)
-
-    def _direction(self, forces: ComplexArray) -> int:
-        """The number of the direction whose *forces* (n_line, n_force) were in the same proportion to each
-        other, line by line, at first; of hardly any force the nearest, of another proportion a new one.
-        """
-        likeness = {
-            number: np.sum(np.abs(np.sum(first * forces.conj(), axis=1)))
-            / max(np.linalg.norm(first, axis=1) @ np.linalg.norm(forces, axis=1), np.finfo(float).tiny)
-            for number, first in self._first.items()
-        }
-        nearest = max(likeness, key=likeness.__getitem__, default=0)
-        weak = any(np.linalg.norm(forces) < ACTS * np.linalg.norm(first) for first in self._first.values())
-        return nearest if weak or likeness.get(nearest, 0.0) > SAME_FORCES else len(likeness)
-
-    def _turn(self, average: Average) -> Average:
-        """A period by its direction, turned to the phases that the forces of this had first: a recording that
-        was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the cross-correlation
-        of the forces; line by line where these are other phases.
-        """
-        forces = average.amplitude[:, self._forces]
-        direction = self._direction(forces)
-        if self._first.setdefault(direction, forces) is forces or not forces.any():
-            self._turns[direction] = np.ones(len(forces), np.complex128)
-        if direction not in self._turns:
-            cross = np.sum(self._first[direction] * forces.conj(), axis=1)
-            delay = np.argmax(fft.irfft(np.pad(cross, (self._lines.start, 0)), self.n_sample))
-            w, size = 2 * np.pi * self.frequency / self.sample_rate, np.abs(cross)
-            rest = np.angle(cross * np.exp(1j * w * delay))
-            turn = np.exp(-1j * w * (delay - np.sum(size * w * rest) / np.sum(size * w**2)))
-            alike = np.sum((cross * turn.conj()).real) > SAME_SIGNAL * np.sum(size)
-            self._turns[direction] = turn if alike else np.exp(1j * np.angle(cross))
-        turned = average.amplitude * self._turns[direction][:, None]
-        return replace(average, amplitude=turned, direction=direction)
-
-
-class HitCutter(_Cutter):
-    """Hits of one hammer, sought as they come: by the noise before the first, then by the hits so far."""
-
-    def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
-        assert settings.block is not None
-        # As in a run: of a late channel the block holds the hit, too.
-        self._lags = Lags(channels, sample_rate)
-        super().__init__(self._lags.channels, sample_rate, round(settings.block * sample_rate), settings)
-        if len(self._forces) != 1:
-            what = f"hits need one force, the rig has {len(self._forces)}"
-            raise DataError(what, hint="one hammer per recording")
-        self._force, self._impact = self._forces[0], settings.impact
-        self._before = round(self._impact.pretrigger * self.n_sample)
-        self._search = impact.HitSearch(self._force, self.n_sample, self._before, len(channels))
-        self._sizes: list[float] = []
-        self._noise, self._rest = 0.0, np.zeros(len(channels))
-
-    def restart(self) -> None:
-        self._search.restart()
-        self._lags.restart()
-
-    def _level(self) -> float:
-        usual = self._impact.trigger * max(self._sizes) if self._sizes else 0.0
-        return max(usual, FIRST_HIT * self._noise)
-
-    def add(self, block: FloatArray) -> Iterator[Average]:
-        """The averages that the next samples (n, n_channel) [SI] complete."""
-        self._search.add(self._lags.add(block))
-        if not self._noise and not self._is_quiet_known():
-            return
-        for start, trigger, samples in self._search.hits(self._rest[self._force], self._level):
-            yield self._hit(start, samples, trigger)
-
-    def _is_quiet_known(self) -> bool:
-        """Whether the rest position of the force and the noise about it are known, by the first samples."""
-        window, n = self._search.window, max(self._before, 16)
-        if window.shape[0] < n:
-            return False
-        self._rest = np.nan_to_num(np.median(window[:n], axis=0))
-        distance = np.abs(window[:, self._force] - self._rest[self._force])
-        # Of a recording that begins within a hit the median is still the rest position.
-        self._noise = float(1.4826 * np.median(distance[:n])) or 1e-6 * float(np.max(distance))
-        return self._noise > 0.0
-
-    def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
-        self._number += 1
-        raw = np.nan_to_num(samples)
-        hit = impact.judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
-        fault = hit.fault
-        size = float(np.max(np.abs(hit.samples[:, self._force])))
-        usual = float(np.median(self._sizes)) if self._sizes else 0.0
-        if not fault and size < WEAK * usual:
-            fault = f"weak: {100 * size / usual:.0f} % of the usual force"
-        if not fault and np.isfinite(samples).all():
-            self._sizes.append(size)
-        windowed, window = hit.samples.copy(), np.ones((self.n_sample, 1))
-        if self._impact.force_window is not None:
-            length = self._impact.force_window * self.sample_rate
-            window[:, 0] = force_window(self.n_sample, trigger, length)
-            windowed[:, [self._force]] *= window
-        noise = (
-            impact.noise_power(hit, self._force, self._lines) * np.sum(window**2) * (2 / self.n_sample) ** 2
-        )
-        average = self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
-        return replace(average, noise=noise)
-
-
-Cutter = PeriodCutter | HitCutter
-CUTTERS: dict[str, type[Cutter]] = {"periodic": PeriodCutter, "impact": HitCutter}

@@ -6,6 +6,7 @@ Sources: Kennedy and O'Hagan 2001 (small errors), MacKay 1992 (evidence), Hausma
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -159,8 +160,9 @@ class SystemPosterior(Posterior[SystemModel]):
         error = np.sqrt(np.maximum(variance, 0.0))
         if self.refits is not None:
             off = np.abs(np.array([predicted(values) for values in self.refits]) - predicted(self.values))
-            # Ranked, since what is not there counts as far off.
-            held = np.sort(np.nan_to_num(off, nan=np.inf), axis=0)[round(0.95 * len(off)) - 1] / NORMAL
+            # Ranked, since what is not there counts as far off; one more is below the r-th in r / (n + 1).
+            rank = min(math.ceil(0.95 * (len(off) + 1)), len(off))
+            held = np.sort(np.nan_to_num(off, nan=np.inf), axis=0)[rank - 1] / NORMAL
             error = np.where(np.isfinite(held), held, error)
         return self.widened * error
 

@@ -22,7 +22,7 @@ from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
 from labpipe.methods.rotor_system.model import Curve, Roots, SystemModel, orthonormal
-from labpipe.methods.rotor_system.posterior import SystemPosterior, normal_draws
+from labpipe.methods.rotor_system.posterior import REFITS, SystemPosterior, normal_draws
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.records.finding import NORMAL
 
@@ -33,8 +33,9 @@ DRAWS, BASIS = 200, 24
 # Speeds about a critical one: every .33 % over 15 % to either side; where more than two fifths of the draws
 # have no peak there, from half to twice of it.
 AROUND, STEP, SCATTERED, WIDE = 0.15, 0.0033, 0.4, 0.7
-# Steps in which the onset of instability is looked for, and how often.
-GROWTH, MOST_STEPS = 1.25, 30
+# Steps in which the onset of instability is looked for, and how often; draws that tell whether it follows its
+# slopes, and the distance from these, in standard errors, from which on it does not.
+GROWTH, MOST_STEPS, ON_LINE, BENT = 1.25, 30, 20, 0.3
 # Draws from which percentiles are steadier than the spread of logarithms, since peaks may split.
 ENOUGH = 100
 # Draws behind what one more run would leave, and behind the vibration over so many speeds.
@@ -119,32 +120,45 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
     """Speed [Hz] at which an eigenvalue's real part becomes positive, from *lowest* [Hz] upwards, and the
     standard error of its logarithm; None where none does within some 800 times that.
 
-    d ln N / d theta = -Re lambda' / (d Re lambda / d ln N). Equation (system-onset).
+    d ln N / d theta = -Re lambda' / (d Re lambda / d ln N). Equation (system-onset). Of refits it is that of
+    each; of draws where their own speeds are not on this line, as where another mode is nearly unstable at
+    lower speeds, or the growth hardly rises.
     """
-    model, values = posterior.model, at_speed(posterior.model, posterior.values)
+    model = posterior.model
 
-    def growth(speed: float, values: FloatArray = values) -> float:
+    def growth(speed: float, values: FloatArray) -> float:
         eigenvalues = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES, slopes=False).values
         return float(np.max(eigenvalues.real, initial=-1.0)) - GROWTH_TOLERANCE
 
-    low = lowest
-    for _ in range(MOST_STEPS):
-        high = GROWTH * low
-        if growth(high) > 0:
-            break
-        low = high
-    else:
-        return None
-    if growth(low) > 0:
+    def speed_of(unknowns: FloatArray, accuracy: float = 1e-3) -> float:
+        values, low = at_speed(model, unknowns), lowest
+        for _ in range(MOST_STEPS):
+            high = GROWTH * low
+            if growth(high, values) > 0:
+                break
+            low = high
+        if low == high or growth(low, values) > 0:
+            return low
+        return float(scipy.optimize.brentq(growth, low, high, (values,), rtol=accuracy))
+
+    speed, values = speed_of(posterior.values, 1e-9), at_speed(model, posterior.values)
+    if growth(lowest, values) > 0:
         return lowest, 0.0
-    speed = float(scipy.optimize.brentq(growth, low, high, rtol=1e-9))
+    if speed > 0.999 * lowest * GROWTH**MOST_STEPS:
+        return None
     roots = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES)
     mode = int(np.argmax(roots.values.real))
     step = 1e-4
-    rise = (growth(speed * (1 + step)) - growth(speed * (1 - step))) / (2 * step)
+    rise = (growth(speed * (1 + step), values) - growth(speed * (1 - step), values)) / (2 * step)
     slope = np.where(model.acting(RUNNING), roots.slopes[mode].real, 0.0) / rise
-    error = posterior.error_of(slope, lambda drawn: np.array(growth(speed, at_speed(model, drawn)) / rise))
-    return speed, float(error)
+    if posterior.refits is None:
+        draws = posterior.draws(ON_LINE)
+        off = np.log([speed_of(draw) / speed for draw in draws]) + (draws - posterior.values) @ slope
+        error = float(posterior.error_of(slope, np.asarray))
+        if np.sqrt(np.mean(off**2)) < BENT * error / posterior.widened:
+            return speed, error
+        posterior = replace(posterior, refits=posterior.draws(REFITS))
+    return speed, float(posterior.error_of(slope, lambda drawn: np.log(speed_of(drawn))))
 
 
 class _Reduced:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -217,6 +217,40 @@ def test_onset_is_where_the_growth_rate_changes_its_sign(fitted) -> None:
         of.model.roots(values, 2 * np.pi * speed * f, slopes=False).values.real.max() for f in (0.99, 1.01)
     )
     assert below < 0 < above and 0 < error < 1
+
+
+@pytest.mark.parametrize("refitted", [True, False])
+def test_the_onset_has_the_interval_of_speeds_not_of_growth(fitted, refitted) -> None:
+    """Internal damping times e^-1 to e, and normal draws of it: the speed of each by bisection of its own.
+    Growth at the speed of the middle, over its rise there, is another one.
+    """
+    of, _, found = fitted
+    at = of.model.number("internal damping")
+    alone = 1e-9 * found.standard_errors
+    alone[at] = 0.6
+
+    class Alone(SystemPosterior):
+        covariance = np.diag(alone**2)
+
+    wide = Alone(**{part.name: getattr(found, part.name) for part in fields(found)})
+    rows = (
+        np.linspace(-1, 1, 60)[:, None] * np.eye(alone.size)[at]
+        if refitted
+        else wide.draws(60) - found.values
+    )
+    speed, error = onset(replace(wide, refits=found.values + rows) if refitted else wide, 100.0)
+
+    def own(values: np.ndarray) -> float:
+        low, high = 20.0, 4000.0
+        while high / low > 1.0005:
+            between = np.sqrt(low * high)
+            roots = of.model.roots(at_speed(of.model, values), 2 * np.pi * between, slopes=False).values
+            low, high = (low, between) if roots.real.max() > 0 else (between, high)
+        return float(low)
+
+    off = np.sort([abs(np.log(own(found.values + row) / speed)) for row in rows])
+    # The 58th of 60 is not exceeded in 58 of 61.
+    assert error == pytest.approx(off[57] / 1.96, rel=0.02)
 
 
 def test_the_least_decrement_and_its_derivatives_are_of_one_mode() -> None:
