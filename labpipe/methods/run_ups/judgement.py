@@ -34,6 +34,9 @@ MOST_ABOVE = 0.26
 # (df/dt) (AF / f)^2, time of ringing over that in the half-power width (times pi), up to which a peak
 # is that of a steady rotor.
 STEADY = 0.3
+# Of one mode (AF 5 to 40) run up and down to that limit: what is left of the delay of its peak, as a share of
+# it, and what its half-power width changes by, as a share of that quotient. Standard uncertainties.
+LATE, WIDER = 0.1, 0.2
 
 
 @dataclass(frozen=True)
@@ -126,8 +129,9 @@ def judge(
     """The 1x track of a run judged; bands in [Hz], *unbalance* [kg m] of which the motion is the response:
     what was added since the *baseline* run, or all there is. DataError for too few speeds, or a dead probe.
 
-    Peaks by one mode where one fits, else by smoothing splines of the readings' parts over speed; intervals
-    by draws of the readings' noise, enlarged to what they scatter by. Equation (run-judged).
+    Peaks by one mode where one fits, else by smoothing splines of the readings' parts over speed, less the
+    delay by which a rotor that passes them shows them; intervals by draws of the readings' noise, enlarged to
+    what they scatter by. Equation (run-judged).
     """
     check_moving(track, "the run-up", range(len(track.ports)))
     speed, readings, deviation = _by_speed(track)
@@ -147,7 +151,7 @@ def judge(
         rolled, curves = offsets[0], curves - offsets[:, None, :]
     amplitude = np.abs(curves)
     labels = tuple(port.label for port in track.ports)
-    rate, rising = np.abs(np.gradient(track.speed, track.time)), np.argsort(track.speed)
+    rate, rising = np.gradient(track.speed, track.time), np.argsort(track.speed)
     halves = _Smooth(speed[::2], readings[::2], smooth.deviation[::2], smooth.fine).fitted
     halved = np.abs(halves - (0.0 if rolled is None else rolled))
     judged_peaks = []
@@ -156,7 +160,8 @@ def judge(
             offset = None if rolled is None else offsets[:, probe]
             mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, rng)
             peak, drawn = mode or (peak, drawn)
-            passed = float(np.interp(peak.speed, track.speed[rising], rate[rising]))
+            peak, drawn = _as_steady(peak, drawn, track.speed, rate, rng)
+            passed = float(np.interp(peak.speed, track.speed[rising], np.abs(rate)[rising]))
             judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, passed))
     # The slow roll of a run and of its baseline is the same.
     moved = curves if baseline is None else recorded
@@ -351,6 +356,27 @@ def _one_mode(
         curve = turned * np.abs(fitted(readings[near] - shift + noise, place))
         critical.append(_peak(fine, curve, 0, POINTS - 1))
     return None if critical[0] is None else (critical[0], [peak for peak in critical[1:] if peak is not None])
+
+
+def _as_steady(
+    peak: Critical, drawn: list[Critical], speed: FloatArray, rate: FloatArray, rng: np.random.Generator
+) -> tuple[Critical, list[Critical]]:
+    """The peak and its draws at speeds of a steady rotor: at *rate* (n,) [Hz/s] it stands 2 rate / (pi (N_2 -
+    N_1)) late, the first order of dA/dt = -(pi (N_2 - N_1) - 2 pi j (N - N_c)) A + f.
+    """
+    if peak.low is None or peak.high is None:
+        return peak, drawn
+    width, within = peak.high - peak.low, (speed >= peak.low) & (speed <= peak.high)
+    passed = float(np.mean(rate[within])) if within.any() else 0.0
+    late, quotient = 2 * passed / (np.pi * width), passed / width**2
+
+    def moved(one: Critical, left: float, wider: float) -> Critical:
+        steady, by = one.speed - late * (1 + left), 1 + wider * quotient
+        ends = [None if end is None else steady + (end - one.speed) * by for end in (one.low, one.high)]
+        return replace(one, speed=steady, low=ends[0], high=ends[1])
+
+    errors = rng.standard_normal((len(drawn), 2)) * (LATE, WIDER)
+    return moved(peak, 0.0, 0.0), [moved(one, *error) for one, error in zip(drawn, errors, strict=True)]
 
 
 def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
