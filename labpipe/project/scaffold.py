@@ -28,6 +28,7 @@ from labpipe.project.proposals import (
     proposal_of,
     proposals,
     propose,
+    turning_tacho,
 )
 from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.settings_reader import DECIDE
@@ -194,7 +195,8 @@ def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
-    decays = {} if inputs else decay_bands(first, outputs)
+    tacho = None if inputs else turning_tacho(first)
+    decays = {} if inputs or tacho else decay_bands(first, outputs)
     # Displacements and accelerations were recorded together, which one response matrix cannot hold.
     quantities = {first.channels[number].quantity for number in outputs}
     if excitation is not None and {"displacement", "acceleration"} <= quantities:
@@ -212,6 +214,7 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
         *_sources(files, paths, "recordings"),
+        *(RUNNING.format(paths[0], tacho).splitlines() if tacho else []),
         *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
         *([_remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
         "identify:",
@@ -230,6 +233,9 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
 
 
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
+RUNNING = """# No force, and a tacho: the shaft runs, and its unbalance is the force. From this folder
+#   labpipe orders {} -r rig.yaml --tacho {} -o orders
+# follows 1x over the speeds; with --slow-roll and --speed-range it judges critical speeds."""
 DRIVES = "drives the shaker: lines that it lacks are distortion, no excitation"
 
 

@@ -16,7 +16,7 @@ from labpipe.display import (
     with_error,
     written,
 )
-from labpipe.quantities import to_display
+from labpipe.quantities import UnitError, si_amount, to_display
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import (
     Fit,
@@ -138,13 +138,29 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "tests": f"{len(tests)} measured, from {counted(len(sources), 'source file')}" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
         **{
-            key: few(list(dict.fromkeys(values)), MOST_VALUES)
+            key: few(_ascending(values), MOST_VALUES)
             for key, values in list(conditions.items())[:MOST_CONDITIONS]
         },
         "pipeline": _each_once(result.pipeline for result in identifications),
         "computed by": _each_once(f"labpipe {result.version}" for result in identifications),
     }
     return tuple((what, which) for what, which in facts.items() if which)
+
+
+def amount_of(text: object) -> tuple[float, str] | None:
+    """A condition in SI with its unit; None where it is no amount."""
+    try:
+        return si_amount(str(text))
+    except UnitError:
+        return None
+
+
+def _ascending(conditions: Iterable[str]) -> list[str]:
+    """Conditions, each once, by size where all are amounts of one kind."""
+    each = list(dict.fromkeys(conditions))
+    amounts = {text: amount for text in each if (amount := amount_of(text)) is not None}
+    alike = len(amounts) == len(each) and len({unit for _, unit in amounts.values()}) == 1
+    return sorted(each, key=amounts.__getitem__) if alike else each
 
 
 def _each_once(texts: Iterable[str]) -> str:

@@ -421,6 +421,20 @@ def test_responses_that_die_away_without_a_force_are_a_ring_down(tmp_path: Path,
     assert zeta["value"] == pytest.approx(decay / omega, rel=0.02)
 
 
+def test_a_run_with_a_tacho_and_no_force_is_followed_by_orders(tmp_path: Path, labpipe) -> None:
+    """A run-up through a resonance dies away after its peak, and is no ring-down."""
+    t = np.arange(8000) / RATE
+    turns = 5 * t + 2 * t**2
+    y = np.sin(2 * np.pi * turns) / (1 + (turns / t.max() / 10 - 1) ** 2)
+    table = np.column_stack([t, y, np.where(turns % 1 < 0.2, 5.0, 0.0)])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t [s],probe [um],tacho [V]", comments="")
+    assert labpipe("init", tmp_path / "rig", tmp_path / "r.csv").code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert (
+        "labpipe orders ../r.csv -r rig.yaml --tacho tacho -o orders" in text and "model: decay" not in text
+    )
+
+
 def test_conjugate_frfs_and_responses_without_a_mode_are_seen(tmp_path: Path, labpipe) -> None:
     """Accelerance of one mode at 30 Hz in closed form, stored as its conjugate, beside a channel of noise."""
     f, rng = np.arange(1.0, 100.0, 0.1), np.random.default_rng(8)
