@@ -138,12 +138,12 @@ def passed(zeta: float, rate: float, resonance: float = 45.0) -> tuple[np.ndarra
 
 @pytest.mark.parametrize("rate", [0.3, -0.3])
 def test_a_critical_speed_is_that_of_a_steady_rotor(rate: float) -> None:
-    """At .3 Hz/s a mode of 3.6 Hz of half-power width stands .053 Hz late, up as down."""
+    """At .3 Hz/s a mode 3.6 Hz wide is seen .053 Hz late, up as down; that is taken off to a twentieth."""
     speed, amplitude = passed(0.04, rate)
     run = track(amplitude, speed=speed, rate=rate)
     (peak,) = judge(run, slow_roll=(10.0, 14.0)).peaks
     steady, _, amplification = half_power(0.04)
-    assert peak.speed.low < steady < peak.speed.high and peak.speed.value == pytest.approx(steady, abs=0.015)
+    assert peak.speed.low < steady < peak.speed.high and peak.speed.value == pytest.approx(steady, abs=0.003)
     assert peak.amplification.low < amplification < peak.amplification.high
 
 
