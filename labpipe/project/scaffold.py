@@ -39,7 +39,8 @@ from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
 from labpipe.records.frf_layout import MECHANICAL
-from labpipe.records.response import FORMS, FrequencyResponse
+from labpipe.records.response import FORMS
+from labpipe.spectra.ports import join
 
 MARK = "# <- decide:"
 # What init asks for: no recording shows it.
@@ -80,7 +81,7 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         try:
-            return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
+            return Scaffold("", _pipeline_of_responses(files, paths))
         except DataError:
             if plain_suffix(files[0]) not in UFF_SUFFIXES:
                 raise
@@ -371,8 +372,15 @@ HEAD_OF_FRFS = (
 )
 
 
-def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
-    files = [Path(path) for path in paths]
+def _pipeline_of_responses(files: Sequence[Path], paths: Sequence[str]) -> str:
+    """Files that state their dofs: parts of one matrix where these fit together, else a test each."""
+    response = load_response(files[0])
+    with suppress(DataError):
+        whole = join([response, *(load_response(file, file.name) for file in files[1:])])
+        if len(files) > 1:
+            size = f"{len(whole.outputs)} responses by {len(whole.inputs)} forces, by the dofs in the files"
+            lines = [_remark("frfs:", f"one matrix of {size}"), f"  each: {_quoted(list(paths))}"]
+            return "\n".join([*HEAD_OF_FRFS, *lines, "identify:", "  modes:", "    model: modal"]) + "\n"
     estimator = "ml" if response.covariance is not None else "ls"
     lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
     fits = {
