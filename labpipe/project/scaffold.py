@@ -30,17 +30,17 @@ from labpipe.project.proposals import (
     propose,
     turning_tacho,
 )
-from labpipe.project.ready_response import is_response, load_response
+from labpipe.project.ready_response import is_response, load_described, load_response
 from labpipe.project.settings_reader import DECIDE
+from labpipe.project.tests import ReadyFrf
 from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation
 from labpipe.raw_files.joined_table import JoinedTable
 from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
-from labpipe.records.frf_layout import MECHANICAL
+from labpipe.records.frf_layout import MECHANICAL, FrfLayout
 from labpipe.records.response import FORMS
-from labpipe.spectra.ports import join
 
 MARK = "# <- decide:"
 # What init asks for: no recording shows it.
@@ -375,9 +375,10 @@ HEAD_OF_FRFS = (
 def _pipeline_of_responses(files: Sequence[Path], paths: Sequence[str]) -> str:
     """Files that state their dofs: parts of one matrix where these fit together, else a test each."""
     response = load_response(files[0])
-    with suppress(DataError):
-        whole = join([response, *(load_response(file, file.name) for file in files[1:])])
-        if len(files) > 1:
+    if len(files) > 1:
+        layout, dofs = FrfLayout(each=tuple(map(str, files))), ((),) * len(files)
+        with suppress(DataError):
+            whole = load_described(ReadyFrf(tuple(files), layout, dofs, dofs), layout, "", {})
             size = f"{len(whole.outputs)} responses by {len(whole.inputs)} forces, by the dofs in the files"
             lines = [_remark("frfs:", f"one matrix of {size}"), f"  each: {_quoted(list(paths))}"]
             return "\n".join([*HEAD_OF_FRFS, *lines, "identify:", "  modes:", "    model: modal"]) + "\n"

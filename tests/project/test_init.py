@@ -444,8 +444,8 @@ def test_runs_of_roving_sensors_are_one_matrix_by_the_dofs_in_their_files(tmp_pa
     modes = [-(w**2) / (w0**2 - w**2 + 2j * zeta * w0 * w) / 2 for w0 in 60 * np.pi * np.sqrt([1, 3])]
     records = [
         {
-            "type": 58, "func_type": 4, "rsp_node": node, "rsp_dir": 3, "ref_node": 1, "ref_dir": 3, "data": data,
-            "x": w / 2 / np.pi, "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
+            "type": 58, "func_type": 4, "rsp_node": node, "rsp_dir": 3, "ref_node": 1, "ref_dir": 3,
+            "data": data, "x": w / 2 / np.pi, "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
             "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13,
         }
         for node, data in ((1, modes[0] + modes[1]), (2, modes[0] - modes[1]), (1, modes[0] + modes[1]))

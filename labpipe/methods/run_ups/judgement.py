@@ -365,8 +365,8 @@ def _one_mode(
     critical = []
     for number, shift in enumerate(shifts):
         noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)) if number else 0.0
-        curve = turned * np.abs(fitted(readings[near] - shift + behind + noise, place))
-        critical.append(_peak(fine, curve, 0, POINTS - 1))
+        amplitude = turned * np.abs(fitted(readings[near] - shift + behind + noise, place))
+        critical.append(_peak(fine, amplitude, 0, POINTS - 1))
     return None if critical[0] is None else (critical[0], [peak for peak in critical[1:] if peak is not None])
 
 
