@@ -137,10 +137,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{len(tests)} measured, from {counted(len(sources), 'source file')}" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
-        **{
-            key: few(_ascending(values), MOST_VALUES)
-            for key, values in list(conditions.items())[:MOST_CONDITIONS]
-        },
+        **{key: _each_condition(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
         "pipeline": _each_once(result.pipeline for result in identifications),
         "computed by": _each_once(f"labpipe {result.version}" for result in identifications),
     }
@@ -155,12 +152,14 @@ def amount_of(text: object) -> tuple[float, str] | None:
         return None
 
 
-def _ascending(conditions: Iterable[str]) -> list[str]:
-    """Conditions, each once, by size where all are amounts of one kind."""
+def _each_condition(conditions: Iterable[str]) -> str:
+    """Conditions, each once; amounts of one kind by their size, of many the smallest and the largest."""
     each = list(dict.fromkeys(conditions))
     amounts = {text: amount for text in each if (amount := amount_of(text)) is not None}
-    alike = len(amounts) == len(each) and len({unit for _, unit in amounts.values()}) == 1
-    return sorted(each, key=amounts.__getitem__) if alike else each
+    if len(amounts) < len(each) or len({unit for _, unit in amounts.values()}) > 1:
+        return few(each, MOST_VALUES)
+    each.sort(key=amounts.__getitem__)
+    return ", ".join(each) if len(each) <= MOST_VALUES else f"{each[0]} to {each[-1]}, {len(each)} values"
 
 
 def _each_once(texts: Iterable[str]) -> str:

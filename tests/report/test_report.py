@@ -214,6 +214,16 @@ def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_
     assert b"/Subtype /Image" not in pdf_report(base)
 
 
+def test_many_recorded_conditions_are_a_range() -> None:
+    from labpipe.report.cover import cover_facts
+
+    base = result()
+    oils = [f"{45 + (7 * n) % 12 / 100:.2f} degC +- 0.1 K" for n in range(12)]
+    responses = tuple(replace(base.responses[0], conditions={"oil": oil}) for oil in oils)
+    facts = dict(cover_facts([replace(base, responses=responses)]))
+    assert facts["oil"] == "45.00 degC +- 0.1 K to 45.11 degC +- 0.1 K, 12 values"
+
+
 def test_one_fit_of_one_test_is_three_pages_and_its_response_stands_once() -> None:
     """Its figure, with phase and residual, is on the first page."""
     base = result()
