@@ -133,7 +133,7 @@ def judge(
 
     Peaks by one mode where one fits, else by smoothing splines of the readings' parts over speed, less the
     delay by which a rotor that passes them shows them; intervals by draws of the readings' noise, enlarged to
-    what they scatter by. Equation (run-judged).
+    what they scatter by. Equations (run-judged) and (run-late).
     """
     check_moving(track, "the run-up", range(len(track.ports)))
     speed, readings, deviation = _by_speed(track)
@@ -153,18 +153,17 @@ def judge(
         rolled, curves = offsets[0], curves - offsets[:, None, :]
     amplitude = np.abs(curves)
     labels = tuple(port.label for port in track.ports)
-    rate, rising = np.gradient(track.speed, track.time), np.argsort(track.speed)
+    rate = np.gradient(track.speed, track.time)
     halves = _Smooth(speed[::2], readings[::2], smooth.deviation[::2], smooth.fine).fitted
     halved = np.abs(halves - (0.0 if rolled is None else rolled))
     judged_peaks = []
     for probe, label in enumerate(labels):
         for peak, drawn in _peaks(smooth.fine, amplitude[..., probe], halved[:, probe]):
             offset = None if rolled is None else offsets[:, probe]
-            signed = _passed(peak, track.speed, rate)
-            mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, signed, rng)
-            peak, drawn = mode or _as_steady(peak, drawn, signed, rng)
-            passed = float(np.interp(peak.speed, track.speed[rising], np.abs(rate)[rising]))
-            judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, passed))
+            passed, quotient = _passed(peak, track.speed, rate)
+            mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, passed, rng)
+            peak, drawn = mode or _as_steady(peak, drawn, passed, rng)
+            judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, quotient > STEADY))
     # The slow roll of a run and of its baseline is the same.
     moved = curves if baseline is None else recorded
     sensitivities = (
@@ -390,15 +389,15 @@ def _behind(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical)
     return behind
 
 
-def _passed(peak: Critical, speed: FloatArray, rate: FloatArray) -> float:
-    """The mean *rate* (n,) [Hz/s] between the half-power speeds, zero where these are not known, or passed so
-    fast that the peak is not that of a steady rotor.
+def _passed(peak: Critical, speed: FloatArray, rate: FloatArray) -> tuple[float, float]:
+    """The mean *rate* (n,) [Hz/s] between the half-power speeds, zero where these are not known or passed so
+    fast that the peak is not that of a steady rotor; and that quotient, |rate| / (N_2 - N_1)^2.
     """
     if peak.low is None or peak.high is None:
-        return 0.0
-    within = (speed >= peak.low) & (speed <= peak.high)
-    mean = float(np.mean(rate[within])) if within.any() else 0.0
-    return mean if abs(mean) <= STEADY * (peak.high - peak.low) ** 2 else 0.0
+        return 0.0, 0.0
+    within = rate[(speed >= peak.low) & (speed <= peak.high)]
+    quotient = float(np.mean(np.abs(within))) / (peak.high - peak.low) ** 2 if within.size else 0.0
+    return (float(np.mean(within)) if 0 < quotient <= STEADY else 0.0), quotient
 
 
 def _as_steady(
@@ -409,16 +408,16 @@ def _as_steady(
     """
     if peak.low is None or peak.high is None:
         return peak, drawn
-    width = peak.high - peak.low
-    late, quotient = 2 * rate / (np.pi * width), rate / width**2
-
-    def moved(one: Critical, left: float, wider: float) -> Critical:
-        steady, by = one.speed - late * (1 + left), 1 + wider * quotient
-        ends = [None if end is None else steady + (end - one.speed) * by for end in (one.low, one.high)]
-        return replace(one, speed=steady, low=ends[0], high=ends[1])
-
-    errors = rng.standard_normal((len(drawn), 2)) * (LATE, WIDER)
-    return moved(peak, 0.0, 0.0), [moved(one, *error) for one, error in zip(drawn, errors, strict=True)]
+    width, moved = peak.high - peak.low, []
+    for number, one in enumerate((peak, *drawn)):
+        left, wider = rng.standard_normal(2) * (LATE, WIDER) if number else (0.0, 0.0)
+        speed = one.speed - 2 * rate / (np.pi * width) * (1 + left)
+        ends = [
+            None if end is None else speed + (end - one.speed) * (1 + wider * rate / width**2)
+            for end in (one.low, one.high)
+        ]
+        moved.append(replace(one, speed=speed, low=ends[0], high=ends[1]))
+    return moved[0], moved[1:]
 
 
 def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
@@ -440,11 +439,7 @@ def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int
 
 
 def _judged_peak(
-    peak: Critical,
-    drawn: Sequence[Critical],
-    label: str,
-    speed_range: tuple[float, float] | None,
-    rate: float,
+    peak: Critical, drawn: Sequence[Critical], label: str, speed_range: tuple[float, float] | None, fast: bool
 ) -> JudgedPeak:
     speed = _estimate(peak.speed, [draw.speed for draw in drawn])
     amplitude = _estimate(peak.amplitude, [draw.amplitude for draw in drawn])
@@ -452,7 +447,7 @@ def _judged_peak(
     factor = peak.amplification
     whole = factor is not None and len(factors) > DRAWS / 2
     amplification = _estimate(float(factor or 0.0), factors) if whole else None
-    fast = amplification is not None and rate * (amplification.value / speed.value) ** 2 > STEADY
+    fast = fast and whole
     judged = JudgedPeak(label, speed, amplification, amplitude, None, None, "none asked", None, fast)
     if speed_range is None:
         return judged
