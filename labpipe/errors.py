@@ -51,11 +51,11 @@ class SettingError(ConfigError):
 
 
 class ConfigErrors(ConfigError):
-    """All faults of a file, found in one pass; one line each."""
+    """All faults of a file, found in one pass; one line each, however often the file was read."""
 
     def __init__(self, faults: list[ConfigError]) -> None:
-        super().__init__("\n".join(str(fault) for fault in faults))
-        self.faults = tuple(faults)
+        self.faults = tuple({str(fault): fault for fault in faults}.values())
+        super().__init__("\n".join(map(str, self.faults)))
 
 
 class DataError(LabpipeError):

@@ -83,7 +83,7 @@ def report(
             write_test_report(identifications[0], test, output, figures, paths[0].parent)
         elif len(paths) == 1:
             tell(f"report    {identifications[0].title}")
-            write_report(identifications[0], output, figures=figures, results=paths[0].parent)
+            write_report(identifications[0], output, figures=figures, result=paths[0])
         else:
             tell(f"report    {len(paths)} results together")
             write_campaign(list(zip(_names(paths), identifications, strict=True)), output, figures)

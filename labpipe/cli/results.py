@@ -252,6 +252,6 @@ def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:
     difference, uncertainty, first, second = written(
         change, error, *(to_display(value, unit) for value in (pair.first, pair.second))
     )
-    p_value = "" if pair.p_value is None else f"{pair.p_value:.2g}"
+    p_value = "" if pair.p_value is None else chance_text(pair.p_value).removeprefix("p ").removeprefix("= ")
     numbers = first, second, difference, uncertainty, unit_label(unit)
     return pair.fit, pair.test, pair.parameter, *numbers, p_value, "differs" if pair.differs else ""

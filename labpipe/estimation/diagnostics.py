@@ -57,6 +57,9 @@ def motion_notes(measured: Measured) -> tuple[str, ...]:
     return (f"The {values.size} responses hold {moving}: {of_noise}.",)
 
 
+# The mean of the cosine of a driving point's mobility, by its square, below which its sign is wrong.
+FED_BACK = -0.5
+
 # Findings that name a cause, where an FRF that a closed loop biases makes them appear.
 OF_ANOTHER_CAUSE = ("mass", "stated-value", "unphysical")
 
@@ -292,6 +295,22 @@ def parameter_findings(
         what = f"{', '.join(negative)} is negative; check the mass, the sign of the channels and the band"
         warnings.append(Finding("unphysical", what))
     return [*warnings, *(held_findings(parameters) if held else ()), *_modal_findings(parameters)]
+
+
+def sign_findings(measured: Measured) -> list[Finding]:
+    """Driving points at which the structure would feed power back: Re(j w H) < 0 where the mobility j w H is
+    large, as of a sensor that is mounted upside down.
+    """
+    turned = []
+    for o, output in enumerate(measured.outputs):
+        for i, force in enumerate(measured.inputs):
+            mobility = 1j * measured.omega * measured.matrix[:, o, i]
+            share = np.sum(mobility.real * np.abs(mobility)) / max(np.sum(np.abs(mobility) ** 2), 1e-300)
+            if (output.dof, output.angle) == (force.dof, force.angle) and share < FED_BACK:
+                turned.append(f"{output.label}/{force.label}")
+    what = f"{', '.join(turned)} at its driving point feeds power back, which no structure does"
+    cure = "a sign is wrong; `invert: true` for one of the two channels in the rig file"
+    return [Finding("unphysical", f"{what}: {cure}")] if turned else []
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:

@@ -347,8 +347,9 @@ def _parameter_findings(
     if measured.omega.size > 1 and not leaking and not setup.closed_loop:
         spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
         narrow = diagnostics.narrow_findings(parameters, spacing)
-    kept = (finding for finding in others if not (of_mode and finding.code == "unphysical"))
-    return [*kept, *of_mode, *narrow]
+    kept = [finding for finding in others if not (of_mode and finding.code == "unphysical")]
+    known = setup.closed_loop or any(finding.code == "unphysical" for finding in (*kept, *of_mode))
+    return [*kept, *of_mode, *narrow, *([] if known else diagnostics.sign_findings(measured))]
 
 
 def _with_honest_intervals(

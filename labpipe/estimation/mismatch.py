@@ -254,21 +254,28 @@ def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
     other = without.minimum(OutputError.of(without.measured, judged.model), best.values)
     if other is None or other.p_value < MISMATCH_P:
         return None
-    frequency = float(measured.omega[line] / (2 * np.pi))
-    mains = next((base for base in MAINS if abs(frequency / base - round(frequency / base)) < 0.01), None)
-    hum = "" if mains is None else f", a multiple of the mains' {mains:g} Hz"
+    alone, remedy = line_alone(float(measured.omega[line] / (2 * np.pi)))
     away = other.values - estimate.values
     wide = _with_distance(_not_below(other.assessed.covariance, estimate.covariance), away)
     ratios = np.abs(away) / np.sqrt(np.maximum(np.diag(other.assessed.covariance), np.finfo(float).tiny))
     worst = int(np.argmax(ratios))
     text = (
-        f"{_wording(best)}, and the line at {frequency:.6g} Hz alone makes it so{hum}: something that "
-        "repeats with the periods acts there besides the force. Without it the fit is good (p = "
-        f"{other.p_value:.2g}) and {judged.model.names[worst]} is {ratios[worst]:.2g} standard errors away. "
-        f"{_growth(estimate, wide)} since they include the distance"
+        f"{_wording(best)}, and {alone}. Without it the fit is good (p = {other.p_value:.2g}) and "
+        f"{judged.model.names[worst]} is {ratios[worst]:.2g} standard errors away. {_growth(estimate, wide)} "
+        "since they include the distance"
     )
-    remedy = f"Leave the line out, `exclude: [{frequency - EITHER:.6g}-{frequency + EITHER:.6g} Hz]`"
     return Judgement(judged.finding(text, remedy), wide)
+
+
+def line_alone(frequency: float) -> tuple[str, str]:
+    """That one line [Hz] alone makes a residual what it is, and the remedy."""
+    mains = next((base for base in MAINS if abs(frequency / base - round(frequency / base)) < 0.01), None)
+    hum = "" if mains is None else f", a multiple of the mains' {mains:g} Hz"
+    return (
+        f"the line at {frequency:.6g} Hz alone makes it so{hum}: something that repeats with the periods "
+        "acts there besides the force",
+        f"Leave the line out, `exclude: [{frequency - EITHER:.6g}-{frequency + EITHER:.6g} Hz]`",
+    )
 
 
 def _with_model_error(judged: _Judge, best: _Minimum, causes: Sequence[str] = ()) -> Judgement | None:

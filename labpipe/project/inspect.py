@@ -155,6 +155,9 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{per_unit:g} samples per unit of '{times[0]}'"
             with suppress(DataError):
                 rate = per_unit / time_scale(times[0], table.units)
+                # A time without a unit is taken for seconds, and not said to be.
+                if table.units.get(times[0]) or times[0].rstrip().endswith(("]", ")")):
+                    rate_text = f"{rate:g} Hz by '{times[0]}'"
     except DataError as error:
         error.where = error.where or str(file)
         raise

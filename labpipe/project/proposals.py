@@ -20,7 +20,8 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
 from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.measurement import measure
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import FrfSettings, ShaftLines
+from labpipe.spectra.shaft import at_rest
 from labpipe.spectra.sweeps import find_sweeps
 
 # Largest over rms of a sweep of one level, the square root of two and some noise.
@@ -232,6 +233,16 @@ def _as_channel(channel: first_guess.GuessedChannel) -> Channel:
     is_plain = channel.quantity in ("force", "velocity", "acceleration")
     quantity = channel.quantity if is_plain else "displacement"
     return Channel(channel.key, quantity, channel.role, channel.dof)
+
+
+def turning_tacho(first: FirstLook) -> str | None:
+    """The first tacho that shows a shaft that turns; None for none."""
+    for number, channel in enumerate(first.channels):
+        if channel.quantity == "tacho":
+            recording = Recording((_as_channel(channel),), first.rows[:, [number]], first.rate or 1.0)
+            if not at_rest(recording, ShaftLines(tacho=channel.key)):
+                return channel.key
+    return None
 
 
 # Share of its frequency to either side of a mode that a fit of its decay looks at, and the periods of a decay

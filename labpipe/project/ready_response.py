@@ -115,11 +115,20 @@ def load_described(
     frf: ReadyFrf, layout: FrfLayout, name: str, conditions: dict[str, str]
 ) -> FrequencyResponse:
     """The ready response of a test, joined where it lies in several files; DataError names file and line."""
-    responses = [
-        replace(_load_file(path, layout, Dofs(outputs, inputs)), name=path.name)
-        for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
-    ]
-    response = join(responses) if layout.each else responses[0]
+
+    def loaded(numbered: bool = False) -> list[FrequencyResponse]:
+        return [
+            replace(_load_file(path, layout, Dofs(outputs, inputs), numbered), name=path.name)
+            for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
+        ]
+
+    try:
+        response = join(loaded()) if layout.each else loaded()[0]
+    except DataError:
+        # A universal file of one point says x, one of several 1.x.
+        if not layout.each or any(plain_suffix(path) not in UFF_SUFFIXES for path in frf.paths):
+            raise
+        response = join(loaded(numbered=True))
     if layout.excitation:
         response = _of_random_blocks(response, layout, frf.paths[0])
     elif layout.averages:
@@ -173,11 +182,12 @@ def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path
     return replace(response, blocks=blocks, line_correlation=line_correlation(window, step, number))
 
 
-def _load_file(path: Path, layout: FrfLayout, dofs: Dofs) -> FrequencyResponse:
+def _load_file(path: Path, layout: FrfLayout, dofs: Dofs, numbered: bool) -> FrequencyResponse:
     if layout.table is not None:
         return guard(read_described, path, layout, dofs)
-    if layout.unit or layout.form:
-        response = guard(read_frf_uff, path, "", layout.scale if layout.unit else (layout.form, None))
+    if layout.unit or layout.form or numbered:
+        form = (layout.form, None) if layout.form else None
+        response = guard(read_frf_uff, path, "", layout.scale if layout.unit else form, numbered)
     else:
         response = _read(path)
     return replace(

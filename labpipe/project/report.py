@@ -76,13 +76,14 @@ def format_of(path: Path) -> str:
     return SUFFIX_FORMATS[suffix]
 
 
-def write_report(identification: Identification, path: Path, figures: Path | None, results: Path) -> None:
+def write_report(identification: Identification, path: Path, figures: Path | None, result: Path) -> None:
     """Write the report of an identification; the format follows from the ending. *figures*: a folder for them
-    as files. *results*: the folder of the result.
+    as files. *result*: its file, which the report names, so that it can be signed and archived beside it.
     """
     name = format_of(path)
-    files = {} if figures is None else _figures_of(identification, results)
-    _write(_draw(identification, results, name), path, files, figures)
+    files = {} if figures is None else _figures_of(identification, result.parent)
+    content = stamp(_draw(identification, result.parent, name), drawn_from(result), name)
+    _write(content, path, files, figures)
 
 
 def write_test_report(

@@ -353,15 +353,19 @@ def _response(
 def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:
     """(scale, offset) from the recorded number to SI: directly by the unit, or through the sensitivity."""
     si_unit = QUANTITIES[settings.quantity].si_unit
-    unit_node = node.content.get("unit", node)
+    text, unit_node = settings.unit or si_unit, node.content.get("unit", node)
     try:
-        if not settings.sensitivity:
-            unit = unit_of(settings.unit or si_unit, si_unit)
-            return unit.factor, unit.offset
-        unit = parse_unit(settings.unit or si_unit)
+        unit = parse_unit(text)
     except UnitError as error:
         faults.add_unit(unit_node, join(key, "unit"), error)
         return 1.0, 0.0
+    if not settings.sensitivity:
+        try:
+            unit = unit_of(text, si_unit)
+        except UnitError as error:
+            hint = f"or state the sensor's 'sensitivity: 10 {text}/({si_unit})'"
+            faults.add(unit_node, join(key, "unit"), error.what, hint)
+        return unit.factor, unit.offset
     try:
         stated = split_uncertainty(settings.sensitivity)[0]
         return unit.factor / _sensitivity(stated, unit, si_unit, node), 0.0

@@ -28,17 +28,19 @@ from labpipe.project.proposals import (
     proposal_of,
     proposals,
     propose,
+    turning_tacho,
 )
-from labpipe.project.ready_response import is_response, load_response
+from labpipe.project.ready_response import is_response, load_described, load_response
 from labpipe.project.settings_reader import DECIDE
+from labpipe.project.tests import ReadyFrf
 from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation
 from labpipe.raw_files.joined_table import JoinedTable
 from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
-from labpipe.records.frf_layout import MECHANICAL
-from labpipe.records.response import FORMS, FrequencyResponse
+from labpipe.records.frf_layout import MECHANICAL, FrfLayout
+from labpipe.records.response import FORMS
 
 MARK = "# <- decide:"
 # What init asks for: no recording shows it.
@@ -79,7 +81,7 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         try:
-            return Scaffold("", _pipeline_of_responses(load_response(files[0]), paths))
+            return Scaffold("", _pipeline_of_responses(files, paths))
         except DataError:
             if plain_suffix(files[0]) not in UFF_SUFFIXES:
                 raise
@@ -194,7 +196,8 @@ def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
 def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
-    decays = {} if inputs else decay_bands(first, outputs)
+    tacho = None if inputs else turning_tacho(first)
+    decays = {} if inputs or tacho else decay_bands(first, outputs)
     # Displacements and accelerations were recorded together, which one response matrix cannot hold.
     quantities = {first.channels[number].quantity for number in outputs}
     if excitation is not None and {"displacement", "acceleration"} <= quantities:
@@ -212,6 +215,7 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
         *_sources(files, paths, "recordings"),
+        *(RUNNING.format(paths[0], tacho).splitlines() if tacho else []),
         *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
         *([_remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
         "identify:",
@@ -230,6 +234,9 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
 
 
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
+RUNNING = """# No force, and a tacho: the shaft runs, and its unbalance is the force. From this folder
+#   labpipe orders {} -r rig.yaml --tacho {} -o orders
+# follows 1x over the speeds; with --slow-roll and --speed-range it judges critical speeds."""
 DRIVES = "drives the shaker: lines that it lacks are distortion, no excitation"
 
 
@@ -365,8 +372,16 @@ HEAD_OF_FRFS = (
 )
 
 
-def _pipeline_of_responses(response: FrequencyResponse, paths: Sequence[str]) -> str:
-    files = [Path(path) for path in paths]
+def _pipeline_of_responses(files: Sequence[Path], paths: Sequence[str]) -> str:
+    """Files that state their dofs: parts of one matrix where these fit together, else a test each."""
+    response = load_response(files[0])
+    if len(files) > 1:
+        layout, dofs = FrfLayout(each=tuple(map(str, files))), ((),) * len(files)
+        with suppress(DataError):
+            whole = load_described(ReadyFrf(tuple(files), layout, dofs, dofs), layout, "", {})
+            size = f"{len(whole.outputs)} responses by {len(whole.inputs)} forces, by the dofs in the files"
+            lines = [_remark("frfs:", f"one matrix of {size}"), f"  each: {_quoted(list(paths))}"]
+            return "\n".join([*HEAD_OF_FRFS, *lines, "identify:", "  modes:", "    model: modal"]) + "\n"
     estimator = "ml" if response.covariance is not None else "ls"
     lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
     fits = {

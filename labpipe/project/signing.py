@@ -15,7 +15,7 @@ import json
 import logging
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -64,7 +64,10 @@ def _signer(key: Key) -> Iterator[Any]:
     if key.file is not None:
         if not key.file.is_file():
             raise ConfigError("no such file", key.file, "name your key as PKCS#12 (.p12, .pfx)")
-        signer = signers.SimpleSigner.load_pkcs12(str(key.file), passphrase=key.secret.encode())
+        # By its content: by its name the library prints a traceback of its own.
+        content, signer = key.file.read_bytes(), None
+        with suppress(ValueError, TypeError):
+            signer = signers.SimpleSigner.load_pkcs12_data(content, (), key.secret.encode())
         if signer is None or signer.signing_cert is None:
             raise ConfigError("is not a PKCS#12 file, or its password is another", key.file)
         _check_valid(signer.signing_cert, str(key.file))

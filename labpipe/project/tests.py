@@ -338,11 +338,12 @@ class TestReader:
         per_file = self._each(entries, key)
         together = self._together(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
+        unmatched: list[ConfigError] = []
         for source in self._recordings(entries["each"], settings_reader.join(key, "each")):
             try:
                 test = per_file.test(source)
             except ConfigError as error:
-                self.faults.add_at(entries, key, "pattern", error.what, error.hint)
+                unmatched.append(error)
                 test = Test(source.path.name)
             named = per_file.named(source.path).items()
             conditions = {part: text for part, text in named if part not in together}
@@ -351,6 +352,9 @@ class TestReader:
             first = tests.get(place, replace(test, name=name, recordings=()))
             common = {name: text for name, text in test.conditions.items() if name not in together}
             tests[place] = replace(first, recordings=(*first.recordings, source), conditions=common)
+        if unmatched:
+            nor = f", nor {len(unmatched) - 1} more" if len(unmatched) > 1 else ""
+            self.faults.add_at(entries, key, "pattern", f"{unmatched[0].what}{nor}", unmatched[0].hint)
         yield from tests.values()
 
     def _each(self, entries: dict[str, Marked], key: str) -> EachFile:

@@ -44,11 +44,14 @@ _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 Stated = tuple[str, float | None]
 
 
-def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> FrequencyResponse:
+def read_frf_uff(
+    path: Path, name: str = "", stated: Stated | None = None, numbered: bool = False
+) -> FrequencyResponse:
     """The FRF matrix [SI] of all records 58 of function type 4, with coherences (type 6), rows and columns in
     order of appearance; -X is converted to +X. *stated*: form and SI value per value of the file, for records
-    that leave their axes open (type 0); without a factor their labels count, else SI. DataError for a missing
-    or repeated element, different forms or frequencies, and missing numbers.
+    that leave their axes open (type 0); without a factor their labels count, else SI. *numbered*: dofs have
+    the numbers of their points also where all are at one. DataError for a missing or repeated element,
+    different forms or frequencies, and missing numbers.
     """
     records = uff.read_uff(path)
     frfs = [record for record in records if record.function == uff.FRF]
@@ -60,7 +63,7 @@ def read_frf_uff(path: Path, name: str = "", stated: Stated | None = None) -> Fr
         with uff.open_uff(path) as buffer:
             factors = [_stated_factor(record, *stated) if stated else frf_factor(record) for record in frfs]
             coherences = [record for record in records if record.function == uff.COHERENCE]
-            return _response(buffer, frfs, coherences, form, factors, name)
+            return _response(buffer, frfs, coherences, form, factors, name, numbered)
     except DataError as error:
         error.where = error.where or str(path)
         raise
@@ -82,11 +85,12 @@ def _response(
     form: str,
     factors: list[float],
     name: str,
+    numbered: bool,
 ) -> FrequencyResponse:
     frequency = _frequency(buffer, frfs[0])
     outputs = tuple(dict.fromkeys(_key(record.response) for record in frfs))
     inputs = tuple(dict.fromkeys(_key(record.reference) for record in frfs))
-    several = len({node for _, node, axis in (*outputs, *inputs) if axis}) > 1
+    several = numbered or len({node for _, node, axis in (*outputs, *inputs) if axis}) > 1
     elements = _elements(frfs)
     factor_of = {record.number: factor for record, factor in zip(frfs, factors, strict=True)}
 

@@ -204,7 +204,12 @@ class ConditionAxis:
 
     def text(self, level: float) -> str:
         """A level with name and unit, as people read it."""
-        return f"{self.name} {self.shown(level):.4g} {self.shown_unit}".removesuffix(" 1")
+        return f"{self.name} {self.digits(level)} {self.shown_unit}".removesuffix(" 1")
+
+    def digits(self, level: float) -> str:
+        """A level in the unit in which it is shown, to four digits: 12000 rpm, not 1.2e+04."""
+        shown = self.shown(level)
+        return f"{shown:.0f}" if 1e4 <= abs(shown) < 1e6 else f"{shown:.4g}"
 
 
 @dataclass(frozen=True)

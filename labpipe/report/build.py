@@ -73,6 +73,10 @@ def _judgement(identification: Identification) -> tuple[Block, ...]:
     failed = sum(not outcome.passed for outcome in outcomes)
     if failed:
         lead = Paragraph(f"NOT ACCEPTED: {failed} of {len(outcomes)} rules fail. {uncertainty}", "failed")
+    elif identification.failed:
+        # What was not evaluated is not accepted.
+        text = f"NOT DECIDED: {all_hold(outcomes)} for what could be evaluated. {uncertainty}"
+        lead = Paragraph(text, "warning")
     else:
         missing = _not_checked(identification)
         text = f"ACCEPTED: {all_hold(outcomes)}. {uncertainty}{missing}"

@@ -15,11 +15,11 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, unit_label, written
 from labpipe.errors import DataError, FitError
-from labpipe.quantities import UnitError, display_unit, si_amount, to_display
+from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
-from labpipe.report.cover import DATES, cover_facts
+from labpipe.report.cover import DATES, amount_of, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import few, rounded, unit_text
@@ -155,21 +155,12 @@ def _label(result: str, test: str) -> str:
 
 def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
     conditions = identification.test_conditions.get(listed.test, {})
-    amounts = {
-        name: amount for name, text in conditions.items() if (amount := _amount(str(text))) is not None
-    }
+    amounts = {name: amount for name, text in conditions.items() if (amount := amount_of(text)) is not None}
     dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
     when = next((text for text in dates if _day(text)), "")
     label = _label(result, listed.test)
     errors = listed.random_error, listed.changes
     return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.digests)
-
-
-def _amount(text: str) -> tuple[float, str] | None:
-    try:
-        return si_amount(text)
-    except UnitError:
-        return None
 
 
 def _day(text: str) -> date | None:

@@ -46,7 +46,7 @@ def _map(
     """A matrix (second, first) over the levels of two conditions, the first along the abscissa, the second
     upwards.
     """
-    across, up = ([f"{axis.shown(level):.4g}" for level in axis.levels] for axis in axes[:2])
+    across, up = ([axis.digits(level) for level in axis.levels] for axis in axes[:2])
     x, y = (
         chart.Axis(axis.name, _unit(axis), ticks=chart.named_ticks(ticks))
         for axis, ticks in zip(axes, (across, up[::-1]), strict=False)
@@ -211,9 +211,7 @@ def _axis_titles(matrix: comparison.ConditionMatrix) -> tuple[str, ...]:
 
 
 def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -> tuple[str, ...]:
-    return tuple(
-        f"{axis.shown(level):.4g}" for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True)
-    )
+    return tuple(axis.digits(level) for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True))
 
 
 def _beside(point: comparison.MatrixPoint) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from labpipe.display import (
     with_error,
     written,
 )
-from labpipe.quantities import to_display
+from labpipe.quantities import UnitError, si_amount, to_display
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import (
     Fit,
@@ -137,14 +137,29 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{len(tests)} measured, from {counted(len(sources), 'source file')}" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
-        **{
-            key: few(list(dict.fromkeys(values)), MOST_VALUES)
-            for key, values in list(conditions.items())[:MOST_CONDITIONS]
-        },
+        **{key: _each_condition(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
         "pipeline": _each_once(result.pipeline for result in identifications),
         "computed by": _each_once(f"labpipe {result.version}" for result in identifications),
     }
     return tuple((what, which) for what, which in facts.items() if which)
+
+
+def amount_of(text: object) -> tuple[float, str] | None:
+    """A condition in SI with its unit; None where it is no amount."""
+    try:
+        return si_amount(str(text))
+    except UnitError:
+        return None
+
+
+def _each_condition(conditions: Iterable[str]) -> str:
+    """Conditions, each once; amounts of one kind by their size, of many the smallest and the largest."""
+    each = list(dict.fromkeys(conditions))
+    amounts = {text: amount for text in each if (amount := amount_of(text)) is not None}
+    if len(amounts) < len(each) or len({unit for _, unit in amounts.values()}) > 1:
+        return few(each, MOST_VALUES)
+    each.sort(key=amounts.__getitem__)
+    return ", ".join(each) if len(each) <= MOST_VALUES else f"{each[0]} to {each[-1]}, {len(each)} values"
 
 
 def _each_once(texts: Iterable[str]) -> str:

@@ -31,9 +31,13 @@ PARTIAL = "the partial coherence of each response and force, the other forces re
 
 
 def form_unit(form: str) -> tuple[str, float]:
-    """(unit people read, factor from SI) of an FRF form."""
-    quantity = QUANTITIES.get(form)
-    return (quantity.display_unit, to_display(1.0, quantity.display_unit)) if quantity else ("SI", 1.0)
+    """(unit people read, factor from SI) of an FRF form, or of one quantity per another."""
+    effect, _, cause = form.partition(" per ")
+    quantity = QUANTITIES.get(effect)
+    if quantity is None:
+        return "SI", 1.0
+    per = f"/{QUANTITIES[cause].si_unit}" if cause else ""
+    return quantity.display_unit + per, to_display(1.0, quantity.display_unit)
 
 
 def scale_of(si_unit: str) -> float:

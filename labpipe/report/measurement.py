@@ -29,6 +29,8 @@ from labpipe.spectra.damping import HalfPower, half_power
 from labpipe.spectra.orders import planes_of
 
 PANEL_HEIGHT = 1.9
+# Of an amplitude, what sums of doubles leave of numbers that repeat exactly.
+ROUNDING = 1e-12
 
 
 def channel_blocks(spectra: ChannelSpectra) -> tuple[Block, ...]:
@@ -50,8 +52,12 @@ def _of(measured: FrequencyResponse | ChannelSpectra) -> str:
 
 
 def noise_of(spectra: ChannelSpectra) -> FloatArray:
-    """Standard deviation (n_line, n_run, n_channel) [SI units of the channels] of the complex amplitudes."""
-    return np.sqrt(np.maximum(np.einsum("lrcc->lrc", spectra.covariance).real, 0.0))
+    """Standard deviation (n_line, n_run, n_channel) [SI units of the channels] of the complex amplitudes;
+    none of a channel that repeats to the rounding of its numbers, as a generator's log.
+    """
+    noise = np.sqrt(np.maximum(np.einsum("lrcc->lrc", spectra.covariance).real, 0.0))
+    largest = np.max(np.abs(spectra.vectors), axis=(0, 1))
+    return np.where(np.max(noise, axis=(0, 1)) > ROUNDING * largest, noise, 0.0)
 
 
 def _table(spectra: ChannelSpectra) -> Table:

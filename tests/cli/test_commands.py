@@ -195,7 +195,7 @@ def test_inspect_shows_levels_of_raw_and_calibrated_files(tmp_path: Path, labpip
     ended = labpipe("inspect", "sample_data/hmb/pedestal.csv")
     assert (
         ended.code == 0
-        and "16000 rows, 3 columns, 1000 samples per unit" in ended.out
+        and "16000 rows, 3 columns, 1000 Hz by 't [s]'" in ended.out
         and "no gaps, no clipping" in ended.out
     )
     labpipe("ingest", "sample_data/hmb/axial.csv", "-r", "configs/hmb-axial.yaml", "-o", tmp_path)

@@ -66,6 +66,18 @@ def response(h: np.ndarray, rng: np.random.Generator, *, known: bool = True) -> 
     return FrequencyResponse(FREQUENCY, h + noise, outputs, inputs, covariance=covariance)
 
 
+@pytest.mark.parametrize("turned", [(), (1,), (0, 1)])
+def test_a_sensor_upside_down_is_named_by_the_power_at_its_driving_point(turned: tuple[int, ...]) -> None:
+    """Re(j w H_ii) of a damped structure is positive; of a response whose sign is turned it is negative."""
+    rng = np.random.default_rng(3)
+    signs = np.array([-1.0 if row in turned else 1.0 for row in range(2)])
+    (fit,) = identify(response(signs[:, None] * receptance(), rng), FitSettings("mdof", mass=(1.0, 0.9)))
+    said = " ".join(finding.message for finding in fit.findings if finding.code == "unphysical")
+    if len(turned) == 1:
+        assert "2/f2 at its driving point feeds power back" in said and "1/f1" not in said
+    assert bool(said) == bool(turned)
+
+
 @pytest.mark.long
 def test_average_is_that_of_whole_covariance_matrices() -> None:
     """One linearisation of one FRF, every course as a matrix (n_line, n_line), in parameters as they are."""

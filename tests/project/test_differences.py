@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
+from labpipe.cli.results import _cells
 from labpipe.errors import ConfigError, DataError
 from labpipe.project import catalogue_search as compared
 from labpipe.project.catalogue import ValueRow
@@ -64,6 +65,15 @@ def test_the_order_of_the_two_does_not_matter(shift: float, first: float, second
         == theirs.p_value
         == pytest.approx(2 * stats.norm.sf(abs(shift) / np.hypot(first, second)), rel=1e-6, abs=1e-300)
     )
+
+
+def test_a_chance_that_a_double_cannot_hold_is_below_a_limit() -> None:
+    """200 standard errors: exp(-20000) is no number, and the chance is not 0."""
+    pair = Difference(
+        fit="a", test="", parameter="k", unit="N/m", first=1e6, second=2e6, std_error=5e3, p_value=0.0
+    )
+    assert _cells(pair)[-2:] == ("< 1e-15", "differs")
+    assert _cells(replace(pair, p_value=0.92))[-2:] == ("0.92", "")
 
 
 def test_many_parameters_are_corrected_by_holm() -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyuff
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
@@ -419,6 +420,46 @@ def test_responses_that_die_away_without_a_force_are_a_ring_down(tmp_path: Path,
     f_n, zeta = first_fit(tmp_path / "out")["parameters"][:2]
     assert f_n["value"] == pytest.approx(omega / 2 / np.pi, rel=1e-3)
     assert zeta["value"] == pytest.approx(decay / omega, rel=0.02)
+
+
+def test_a_run_with_a_tacho_and_no_force_is_followed_by_orders(tmp_path: Path, labpipe) -> None:
+    """A run-up through a resonance dies away after its peak, and is no ring-down."""
+    t = np.arange(8000) / RATE
+    turns = 5 * t + 2 * t**2
+    y = np.sin(2 * np.pi * turns) / (1 + (turns / t.max() / 10 - 1) ** 2)
+    table = np.column_stack([t, y, np.where(turns % 1 < 0.2, 5.0, 0.0)])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t [s],probe [um],tacho [V]", comments="")
+    assert labpipe("init", tmp_path / "rig", tmp_path / "r.csv").code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert (
+        "labpipe orders ../r.csv -r rig.yaml --tacho tacho -o orders" in text and "model: decay" not in text
+    )
+
+
+def test_runs_of_roving_sensors_are_one_matrix_by_the_dofs_in_their_files(tmp_path: Path, labpipe) -> None:
+    """Two masses on three springs k, accelerances in closed form: modes at w0 and w0 sqrt 3, one of the runs
+    for each mass. A second recording of the same point is a test of its own.
+    """
+    w, zeta = 2 * np.pi * np.arange(5.0, 100.0, 0.1), 0.01
+    modes = [-(w**2) / (w0**2 - w**2 + 2j * zeta * w0 * w) / 2 for w0 in 60 * np.pi * np.sqrt([1, 3])]
+    records = [
+        {
+            "type": 58, "func_type": 4, "rsp_node": node, "rsp_dir": 3, "ref_node": 1, "ref_dir": 3,
+            "data": data, "x": w / 2 / np.pi, "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
+            "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13,
+        }
+        for node, data in ((1, modes[0] + modes[1]), (2, modes[0] - modes[1]), (1, modes[0] + modes[1]))
+    ]  # fmt: skip
+    files = [tmp_path / f"run{number}.uff" for number in (1, 2, 3)]
+    for file, record in zip(files, records, strict=True):
+        pyuff.UFF(str(file)).write_sets([record], "add")
+    ended = labpipe("init", tmp_path / "rig", *files[:2])
+    assert ended.code == 0 and "to be decided" not in ended.out
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    values = {one["name"]: one["value"] for one in first_fit(tmp_path / "out")["parameters"]}
+    assert [values["f_n_1"], values["f_n_2"]] == pytest.approx([30.0, 30 * np.sqrt(3)], rel=1e-6)
+    assert labpipe("init", tmp_path / "again", files[0], files[2]).code == 0
+    assert "tests:" in (tmp_path / "again/pipeline.yaml").read_text()
 
 
 def test_conjugate_frfs_and_responses_without_a_mode_are_seen(tmp_path: Path, labpipe) -> None:

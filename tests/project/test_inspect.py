@@ -83,7 +83,8 @@ def test_the_envelope_holds_every_sample(tmp_path: Path) -> None:
 def test_the_rate_of_a_time_column(tmp_path: Path, time: str, step: float) -> None:
     overview = seen(table(tmp_path, time, step))
     assert overview.sample_rate == pytest.approx(1000.0, rel=1e-9) and overview.time == time
-    assert f"samples per unit of '{time}'" in overview.rate
+    said = "1000 samples per unit of" if time == "t" else "1000 Hz by"
+    assert overview.rate == f"{said} '{time}'"
     assert [channel.name for channel in overview.plotted] == ["force [N]", "y [um]"]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.project import report as report_stage
-from labpipe.project.report import COMMENTS, is_drawn, stamp
+from labpipe.project.report import COMMENTS, drawn_from, is_drawn, stamp
 from tests.project.laboratory import laboratory
 
 FORMATS = ("html", "md")
@@ -21,6 +21,18 @@ FORMATS = ("html", "md")
 @pytest.fixture
 def pipeline(tmp_path: Path) -> Path:
     return laboratory(tmp_path)
+
+
+def test_a_report_that_is_asked_for_is_one_of_the_result_beside_it(
+    pipeline: Path, tmp_path: Path, labpipe
+) -> None:
+    """It can be signed there, where `verify` holds it against the result, and archived with it."""
+    out = tmp_path / "out"
+    assert labpipe("run", pipeline, "-o", out, "-q").code == 0
+    for name in ("pdf", "md"):
+        assert labpipe("report", out, "-o", out / f"report.{name}", "-q").code == 0
+        assert is_drawn(out / f"report.{name}", drawn_from(out / "identification.json"))
+    assert labpipe("archive", out, "-c", pipeline, "-o", tmp_path / "evidence.zip").code == 0
 
 
 @pytest.mark.long

@@ -132,6 +132,10 @@ def test_faults_of_all_channels_are_named_at_once_in_the_order_of_the_file(tmp_p
             "one of sample_rate and time is needed, not both",
         ),
         (
+            "channels: {f: {quantity: acceleration, unit: mV}}\n",
+            "m/s^2 is needed; or state the sensor's 'sensitivity: 10 mV/(m/s^2)'",
+        ),
+        (
             "channels: {f: {quantity: force, sensitivity: 3}}\n",
             "'3' is not a sensitivity; for example '8 V/mm'",
         ),

@@ -185,10 +185,14 @@ def test_what_carries_no_signature_is_refused(tmp_path: Path, content: bytes, pe
     assert not (tmp_path / "b.signed.pdf").exists()
 
 
-def test_keys_and_certificates_that_cannot_be_used(people: Authority, archive: Path, tmp_path: Path) -> None:
+def test_keys_and_certificates_that_cannot_be_used(
+    people: Authority, archive: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     ann = people.person("Ann")
     with pytest.raises(ConfigError, match="or its password is another"):
         sign(archive, Key(file=ann, secret="other"), "measured")
+    # The library's log, with a traceback, would stand above the message.
+    assert not caplog.records
     with pytest.raises(ConfigError, match="no such file"):
         sign(archive, Key(file=tmp_path / "none.p12"), "measured")
     with pytest.raises(DataError, match="no such file"):

@@ -219,7 +219,10 @@ def test_channels_of_one_run_in_several_files(folder: Path) -> None:
         ),
         ("tests: [{nam: a, recordings: runs/a.csv}]\n", "tests.1.nam: unknown key; did you mean 'name'?"),
         ("tests: [{name: a}]\n", "tests.1: neither recordings nor frfs"),
-        ("tests: [{each: 'runs/?.csv', pattern: '{a}-{b}'}]\n", "tests.1.pattern: does not match 'a'"),
+        (
+            "tests: [{each: 'runs/?.csv', pattern: '{a}-{b}'}]\n",
+            "tests.1.pattern: does not match 'a', nor 1 more; for example",
+        ),
         ("tests: [{each: 'runs/?.csv', recordings: runs/a.csv}]\n", "tests.1.recordings: unknown key"),
         (
             "tests: [{name: a, recordings: runs/a.csv, conditions: 427 N}]\n",
@@ -249,6 +252,14 @@ def test_a_rig_that_is_broken_is_named_once_with_its_own_place(folder: Path) -> 
     found = faults(folder, f"rig: rig.yaml\nrecordings: runs/a.csv\n{FRF}")
     (about_mass,) = (one for one in found if "mass" in one)
     assert about_mass == "rig.yaml:3:1: mass: 'm' has the wrong dimension, kg is needed; for example '0.5 kg'"
+
+
+def test_a_rig_that_is_read_for_several_recordings_is_named_once(folder: Path) -> None:
+    """It is read again wherever a recording moves a channel."""
+    (folder / "rig.yaml").write_text(RIG.format(name="R", mass="2 m"))
+    moved = ", ".join(f"{{file: runs/{name}.csv, channels: {{f: {{dof: {name}}}}}}}" for name in "ab")
+    found = faults(folder, f"rig: rig.yaml\nrecordings: [{moved}]\n{FRF}")
+    assert len([one for one in found if "mass" in one]) == 1
 
 
 # conditions in names

@@ -175,6 +175,7 @@ def test_slopes_of_a_calibration_stand_by_name_from_zero() -> None:
 
 
 def test_units_of_forms() -> None:
+    assert form_unit("displacement per current") == ("um/A", pytest.approx(1e6))
     assert form_unit("receptance") == ("um/N", pytest.approx(1e6)) and form_unit("voltage ratio") == (
         "SI",
         1.0,

@@ -203,14 +203,25 @@ def test_the_pdf_has_a_cover_with_the_dates_of_the_recordings_and_lines_instead_
 
     base = result()
     responses = tuple(
-        replace(base.responses[0], conditions={"date": day, "preload": "427 N"})
-        for day in ("2026-03-02", "2026-02-27")
+        replace(base.responses[0], conditions={"date": day, "preload": "427 N", "speed": speed, "oil": oil})
+        for day, speed, oil in (("2026-03-02", "12000rpm", "warm"), ("2026-02-27", "50 Hz", "cold"))
     )
     facts = dict(cover_facts([replace(base, responses=responses)]))
     assert facts["recorded"] == "2026-02-27 to 2026-03-02" and facts["preload"] == "427 N"
+    assert facts["speed"] == "50 Hz, 12000rpm" and facts["oil"] == "warm, cold"
     assert facts["pipeline"] == "p.yaml" and facts["computed by"] == "labpipe 0.1.0" and "rig" not in facts
     # The correlation of two estimates is a sentence; no picture of dots stands for it.
     assert b"/Subtype /Image" not in pdf_report(base)
+
+
+def test_many_recorded_conditions_are_a_range() -> None:
+    from labpipe.report.cover import cover_facts
+
+    base = result()
+    oils = [f"{45 + (7 * n) % 12 / 100:.2f} degC +- 0.1 K" for n in range(12)]
+    responses = tuple(replace(base.responses[0], conditions={"oil": oil}) for oil in oils)
+    facts = dict(cover_facts([replace(base, responses=responses)]))
+    assert facts["oil"] == "45.00 degC +- 0.1 K to 45.11 degC +- 0.1 K, 12 values"
 
 
 def test_one_fit_of_one_test_is_three_pages_and_its_response_stands_once() -> None:

@@ -143,6 +143,22 @@ def test_signal_and_noise_of_a_channel_are_both_rms() -> None:
     assert isinstance(table, Table) and table.rows[0][3:6] == ("3", "1", "2.12")
 
 
+def test_a_log_that_repeats_exactly_has_no_noise() -> None:
+    """What rounding leaves would stretch the axis of all channels to 1e-19."""
+    channels = tuple(Channel(name, "current", "output", name) for name in "ri")
+    covariance = np.zeros((2, 1, 2, 2))
+    covariance[..., 0, 0], covariance[..., 1, 1] = 1e-37, 1e-8
+    spectra = ChannelSpectra(np.array([1.0, 2.0]), np.full((2, 1, 2), 0.1), covariance, channels, ("a",))
+    figure, table = channel_blocks(spectra)[2], channel_blocks(spectra)[1]
+    assert isinstance(table, Table) and [row[4:6] for row in table.rows] == [
+        ("0", "-"),
+        ("7.07e-05", "1e+03"),
+    ]
+    assert isinstance(figure, Figure)
+    shown = np.concatenate([series.y for series in figure.graphic.panels[0].series])
+    assert np.nanmin(shown) > 1e-5
+
+
 def test_what_stands_below_a_response() -> None:
     plain = response()
     assert spectral_blocks(plain) == ()

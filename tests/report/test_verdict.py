@@ -53,6 +53,15 @@ def words(sections: tuple[Section, ...]) -> dict[str, list[tuple[str, str]]]:
     }
 
 
+def test_rules_that_hold_for_a_part_of_the_tests_accept_nothing() -> None:
+    """As `Identification.accepted` and exit code 2 say."""
+    part = replace(RESULT, failed=(Failed("701N", "no such channel"),))
+    first, second = words(verdict_sections(part))["Verdict"][:2]
+    assert not part.accepted and first[0].startswith("INCOMPLETE")
+    said = "NOT DECIDED: the one rule holds for what could be evaluated. No warnings."
+    assert second == (said, "warning")
+
+
 def test_an_accepted_result_says_so_with_its_rules() -> None:
     sections = verdict_sections(RESULT)
     assert words(sections)["Verdict"] == [("ACCEPTED: the one rule holds. No warnings.", "passed")]

@@ -8,7 +8,7 @@ import pytest
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.settings import MaskSettings, ShaftLines
-from labpipe.spectra.shaft import ShaftMotion, shaft_motion, steady, tacho_pulses
+from labpipe.spectra.shaft import ShaftMotion, at_rest, shaft_motion, steady, tacho_pulses
 
 RATE = 1000.0
 TACHO = Channel("tacho", "voltage", "reference", "tacho")
@@ -43,6 +43,20 @@ def test_pulses_over_block_borders_are_found_once() -> None:
     time = np.arange(200_000) / RATE
     pulses = tacho_pulses(pulse_train(20.01 * time + 0.5), "tacho")
     np.testing.assert_allclose(np.diff(pulses), 1 / 20.01, atol=1e-9)
+
+
+@pytest.mark.parametrize("per_turn", [1, 2])
+@pytest.mark.parametrize("smooth", [1, 9])
+def test_noise_of_a_tacho_at_rest_is_no_shaft(per_turn: int, smooth: int, rng: np.random.Generator) -> None:
+    """White, and as behind a filter; a shaft from rest under a constant torque turns, t^2 / 2 revolutions."""
+    lines = ShaftLines(tacho="tacho", pulses=per_turn)
+    noise = np.convolve(rng.normal(size=20_000), np.ones(smooth), "valid")
+    still = Recording((TACHO,), noise[:, None], RATE, "still")
+    assert at_rest(still, lines)
+    with pytest.raises(DataError, match="no regular pulses"):
+        shaft_motion(still, lines)
+    time = 1 + np.arange(8000) / RATE
+    assert not at_rest(pulse_train(per_turn * (time**2 / 2 + 0.3)), lines)
 
 
 def test_a_run_up_is_followed() -> None:

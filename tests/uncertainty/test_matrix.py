@@ -56,6 +56,7 @@ def test_points_are_ordered_by_measured_conditions_and_repeats_averaged() -> Non
     assert first.values[0].scatter == pytest.approx(1e3 / np.sqrt(2))
     assert second.values[0].repeats == 1
     assert matrix.text_of(first) == "speed 3000 rpm, load 1 kN"
+    assert [matrix.axes[0].digits(level) for level in (200.0, 2000 / 6)] == ["12000", "20000"]
     listed = list(listed_parameters(Identification((), sections={"matrix": (matrix,)})))
     assert [(one.fit, one.test, one.model) for one in listed] == [
         ("tm", "speed 3000 rpm, load 1 kN", "matrix"),

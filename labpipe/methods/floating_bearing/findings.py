@@ -11,11 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import chance_text, per_cent
 from labpipe.estimation.coefficient_error import CoefficientError, Patterns, averaged_error
 from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.mismatch import FEWEST_LINES, line_alone
 from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, Noise, times
 from labpipe.methods.floating_bearing.settings import Given
 from labpipe.methods.floating_bearing.stator import Stator, shown_stiffness
@@ -329,12 +331,34 @@ def balance_error(
     away = error.mean - misfit.values
     whole = error.covariance + np.outer(away, away)
     growth = float(np.sqrt(np.max(np.diag(whole) / np.diag(covariance))))
+    said = f"; most likely {error.reason}: {cause}"
+    if (frequency := _line_alone(misfit, reduced)) is not None:
+        alone, cure = line_alone(frequency)
+        said = f", and {alone}"
     finding = Finding(
         "model-mismatch",
-        f"{excess}; most likely {error.reason}: {cause}. Intervals include what the model leaves "
+        f"{excess}{said}. Intervals include what the model leaves "
         f"unexplained, and are up to {growth:.3g} times as wide as noise alone makes them. {cure}",
     )
     return BalanceError(whole, error, (finding,))
+
+
+def _line_alone(misfit: BalanceMisfit, reduced: float) -> float | None:
+    """The only line [Hz] without which chi-square, *reduced* per degree of freedom, speaks for the model, by
+    one step of the fit to the others.
+    """
+    residual, slopes = misfit.linearised(misfit.values)
+    squares = np.sum(np.abs(residual) ** 2, axis=1)
+    line, n_line = int(np.argmax(squares)), squares.size
+    if n_line <= FEWEST_LINES:
+        return None
+    others = np.arange(n_line) != line
+    e, j = residual[others].ravel(), slopes[others].reshape(-1, slopes.shape[-1])
+    e, j = np.concatenate([e.real, e.imag]), np.concatenate([j.real, j.imag])
+    left = np.sum((e - j @ np.linalg.lstsq(j, e)[0]) ** 2) / squares.sum()
+    dof = e.size - misfit.values.size
+    alone = chi2.sf(reduced * left * (2 * residual.size - misfit.values.size), dof) >= MISMATCH_P
+    return float(misfit.omega[line] / (2 * np.pi)) if alone else None
 
 
 def stator_error(best: Estimate, balance: Balance, noise: Noise) -> BalanceError:

@@ -33,7 +33,12 @@ BESIDE, ENOUGH, FITS, POINTS = 1.5, 10, 2.0, 801
 MOST_ABOVE = 0.26
 # (df/dt) (AF / f)^2, time of ringing over that in the half-power width (times pi), up to which a peak
 # is that of a steady rotor.
-STEADY = 0.3
+STEADY = 0.2
+# Of one mode (AF 5 to 40) run up and down to that limit: what is left of the delay of its peak, as a share of
+# it, and what its half-power width changes by, as a share of that quotient. Standard uncertainties.
+LATE, WIDER = 0.1, 0.2
+# Times that a mode is fitted and that what its readings are behind is found anew.
+PASSES = 4
 
 
 @dataclass(frozen=True)
@@ -126,8 +131,9 @@ def judge(
     """The 1x track of a run judged; bands in [Hz], *unbalance* [kg m] of which the motion is the response:
     what was added since the *baseline* run, or all there is. DataError for too few speeds, or a dead probe.
 
-    Peaks by one mode where one fits, else by smoothing splines of the readings' parts over speed; intervals
-    by draws of the readings' noise, enlarged to what they scatter by. Equation (run-judged).
+    Peaks by one mode where one fits, else by smoothing splines of the readings' parts over speed, less the
+    delay by which a rotor that passes them shows them; intervals by draws of the readings' noise, enlarged to
+    what they scatter by. Equations (run-judged) and (run-late).
     """
     check_moving(track, "the run-up", range(len(track.ports)))
     speed, readings, deviation = _by_speed(track)
@@ -147,17 +153,17 @@ def judge(
         rolled, curves = offsets[0], curves - offsets[:, None, :]
     amplitude = np.abs(curves)
     labels = tuple(port.label for port in track.ports)
-    rate, rising = np.abs(np.gradient(track.speed, track.time)), np.argsort(track.speed)
+    rate = np.gradient(track.speed, track.time)
     halves = _Smooth(speed[::2], readings[::2], smooth.deviation[::2], smooth.fine).fitted
     halved = np.abs(halves - (0.0 if rolled is None else rolled))
     judged_peaks = []
     for probe, label in enumerate(labels):
         for peak, drawn in _peaks(smooth.fine, amplitude[..., probe], halved[:, probe]):
             offset = None if rolled is None else offsets[:, probe]
-            mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, rng)
-            peak, drawn = mode or (peak, drawn)
-            passed = float(np.interp(peak.speed, track.speed[rising], rate[rising]))
-            judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, passed))
+            passed, quotient = _passed(peak, track.speed, rate)
+            mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, passed, rng)
+            peak, drawn = mode or _as_steady(peak, drawn, passed, rng)
+            judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, quotient > STEADY))
     # The slow roll of a run and of its baseline is the same.
     moved = curves if baseline is None else recorded
     sensitivities = (
@@ -298,7 +304,7 @@ def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Cri
     below, middle, above = flat[top - 1 : top + 2]
     bend = below - 2 * middle + above
     shift = 0.5 * (below - above) / bend if bend > 0 else 0.0
-    height = middle - 0.25 * (below - above) * shift
+    height = max(middle - 0.25 * (below - above) * shift, middle / 2)
     ends: list[float | None] = []
     for numbers in (range(top, -1, -1), range(top, fine.size)):
         beyond = next((n for n in numbers if flat[n] > 2 * height), None)
@@ -318,10 +324,12 @@ def _one_mode(
     readings: ComplexArray,
     deviation: FloatArray,
     offsets: ComplexArray | None,
+    rate: float,
     rng: np.random.Generator,
 ) -> tuple[Critical, list[Critical]] | None:
-    """The peak and those of the draws by z = Omega^2 (a + b Omega) / (1 + c Omega + d Omega^2); None where
-    the half-power speeds are not in the run, readings are few, or one mode does not fit.
+    """The peak and those of the draws by z = Omega^2 (a + b Omega) / (1 + c Omega + d Omega^2), to which the
+    readings come by what they are behind at *rate* [Hz/s]; None where the half-power speeds are not in the
+    run, readings are few, or one mode does not fit.
     """
     if peak.low is None or peak.high is None:
         return None
@@ -338,19 +346,78 @@ def _one_mode(
         return rational_fit(x, (values / scale)[:, None], (deviation[near] / scale)[:, None], at)[:, 0]
 
     shifts = np.zeros(1 + DRAWS, complex) if offsets is None else offsets
-    middle = readings[near] - shifts[0]
+    middle, steady = readings[near] - shifts[0], peak
+    behind = np.zeros(x.size, complex)
+    turned = (fine / peak.speed) ** 2
+    for _ in range(PASSES):
+        curve = turned * fitted(middle + behind, place)
+        steady = _peak(fine, np.abs(curve), 0, POINTS - 1) or steady
+        if steady.amplification is not None:
+            behind = np.interp(x, place, _behind(curve, fine, rate, steady))
+    middle = middle + behind
     left = (middle - scale * fitted(middle, x)) / deviation[near]
     # Four complex coefficients.
     chi2 = float(np.sum(np.abs(left) ** 2)) / (2 * near.sum() - 8)
     if chi2 > FITS:
         return None
     size = deviation[near] * np.sqrt(max(chi2, 1.0))
-    critical, turned = [], (fine / peak.speed) ** 2
+    critical = []
     for number, shift in enumerate(shifts):
         noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)) if number else 0.0
-        curve = turned * np.abs(fitted(readings[near] - shift + noise, place))
-        critical.append(_peak(fine, curve, 0, POINTS - 1))
+        amplitude = turned * np.abs(fitted(readings[near] - shift + behind + noise, place))
+        critical.append(_peak(fine, amplitude, 0, POINTS - 1))
     return None if critical[0] is None else (critical[0], [peak for peak in critical[1:] if peak is not None])
+
+
+def _behind(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical) -> ComplexArray:
+    """What the amplitude A of a mode that is passed at *rate* [Hz/s] is behind that of a steady rotor, A_s,
+    *curve* (n,) at *speed* (n,) [Hz]. z = A exp(j angle) in the equation of motion: A_s - A of D A_s (1 - j a
+    / W^2) = (D + j a) A + 2 (j W + zeta w0) dA/dt + d2A/dt2, D = w0^2 - W^2 + 2 j zeta w0 W, a = dW/dt; w0
+    and zeta are those of the peak.
+    """
+    omega, acceleration = 2 * np.pi * speed, 2 * np.pi * rate
+    zeta = 0.5 / (peak.amplification or np.inf)
+    resonance = 2 * np.pi * peak.speed * np.sqrt(1 - 2 * zeta**2)
+    stiffness = resonance**2 - omega**2 + 2j * zeta * resonance * omega
+    behind = np.zeros_like(curve)
+    for _ in range(PASSES):
+        moving = curve - behind
+        first = acceleration * np.gradient(moving, omega)
+        second = acceleration * np.gradient(first, omega)
+        turning = 1j * acceleration * (moving + stiffness * curve / omega**2)
+        behind = (turning + 2 * (1j * omega + zeta * resonance) * first + second) / stiffness
+    return behind
+
+
+def _passed(peak: Critical, speed: FloatArray, rate: FloatArray) -> tuple[float, float]:
+    """The mean *rate* (n,) [Hz/s] between the half-power speeds, zero where these are not known or passed so
+    fast that the peak is not that of a steady rotor; and that quotient, |rate| / (N_2 - N_1)^2.
+    """
+    if peak.low is None or peak.high is None:
+        return 0.0, 0.0
+    within = rate[(speed >= peak.low) & (speed <= peak.high)]
+    quotient = float(np.mean(np.abs(within))) / (peak.high - peak.low) ** 2 if within.size else 0.0
+    return (float(np.mean(within)) if 0 < quotient <= STEADY else 0.0), quotient
+
+
+def _as_steady(
+    peak: Critical, drawn: list[Critical], rate: float, rng: np.random.Generator
+) -> tuple[Critical, list[Critical]]:
+    """The peak and its draws at speeds of a steady rotor: at *rate* [Hz/s] it stands 2 rate / (pi (N_2 -
+    N_1)) late, the first order of dA/dt = -(pi (N_2 - N_1) + 2 pi j (N - N_c)) A + f.
+    """
+    if peak.low is None or peak.high is None:
+        return peak, drawn
+    width, moved = peak.high - peak.low, []
+    for number, one in enumerate((peak, *drawn)):
+        left, wider = rng.standard_normal(2) * (LATE, WIDER) if number else (0.0, 0.0)
+        speed = one.speed - 2 * rate / (np.pi * width) * (1 + left)
+        ends = [
+            None if end is None else speed + (end - one.speed) * (1 + wider * rate / width**2)
+            for end in (one.low, one.high)
+        ]
+        moved.append(replace(one, speed=speed, low=ends[0], high=ends[1]))
+    return moved[0], moved[1:]
 
 
 def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int) -> Critical:
@@ -372,11 +439,7 @@ def _move(peak: Critical, middle: Critical, coarse: Critical | None, number: int
 
 
 def _judged_peak(
-    peak: Critical,
-    drawn: Sequence[Critical],
-    label: str,
-    speed_range: tuple[float, float] | None,
-    rate: float,
+    peak: Critical, drawn: Sequence[Critical], label: str, speed_range: tuple[float, float] | None, fast: bool
 ) -> JudgedPeak:
     speed = _estimate(peak.speed, [draw.speed for draw in drawn])
     amplitude = _estimate(peak.amplitude, [draw.amplitude for draw in drawn])
@@ -384,7 +447,7 @@ def _judged_peak(
     factor = peak.amplification
     whole = factor is not None and len(factors) > DRAWS / 2
     amplification = _estimate(float(factor or 0.0), factors) if whole else None
-    fast = amplification is not None and rate * (amplification.value / speed.value) ** 2 > STEADY
+    fast = fast and whole
     judged = JudgedPeak(label, speed, amplification, amplitude, None, None, "none asked", None, fast)
     if speed_range is None:
         return judged

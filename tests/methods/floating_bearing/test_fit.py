@@ -245,6 +245,31 @@ def test_least_squares_is_that_of_the_literature() -> None:
     assert fit.gof.chi2_reduced is None and any("as in the literature" in note for note in fit.notes)
 
 
+def test_hum_on_one_line_is_named_and_nothing_else() -> None:
+    """50 times the noise of the forces at 50 Hz, in every run alike: a multiple of the mains'. A wrong mass,
+    which is off at every line, is none, nor are two such lines.
+    """
+    spectra = drawn()
+    sizes = np.sqrt(np.einsum("lrcc->lrc", spectra.covariance).real)
+    forces = np.array([channel.quantity == "force" for channel in spectra.channels])
+
+    def hum(*frequencies: float) -> ChannelSpectra:
+        lines = np.isclose(spectra.frequency[:, None], frequencies).any(axis=1)
+        assert lines.sum() == len(frequencies)
+        return replace(spectra, vectors=spectra.vectors + 50 * sizes * (lines[:, None, None] & forces))
+
+    def mismatch(of: ChannelSpectra, **keys: str) -> str:
+        (found,) = (one for one in fitted(of, **{**GIVEN, **keys}).findings if one.code == "model-mismatch")
+        return found.message
+
+    said = mismatch(hum(50.0))
+    assert "the line at 50 Hz alone makes it so, a multiple of the mains' 50 Hz" in said
+    assert "Leave the line out, `exclude: [49.99-50.01 Hz]`" in said and "most likely" not in said
+    heavy = mismatch(drawn(replace(EVEN, noise=0.001)), stator_mass="61.2 kg")
+    for other in (mismatch(hum(50.0, 84.0)), heavy):
+        assert "most likely" in other and "alone makes it so" not in other
+
+
 def test_symmetries_tie_their_coefficients() -> None:
     seal = fitted(drawn(), symmetry="seal", **GIVEN)
     assert (
