@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass, fields
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
-from labpipe.records.settings import Settings, section, setting
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 
 EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.
@@ -41,8 +41,8 @@ LOCALS = ("none", "polynomial")
 class ShaftLines(Settings):
     """Lines of a rotating shaft: its speed or its tacho channel, and the number of harmonics."""
 
-    speed: float | None = setting("value", "shaft speed, e.g. 50 Hz or 3000 rpm", unit="Hz", default=None)
-    tacho: str | None = setting("text", "channel with the tacho pulses, instead of a speed", default=None)
+    speed: float | None = quantity("shaft speed, e.g. 50 Hz or 3000 rpm", "Hz", None)
+    tacho: str | None = text("channel with the tacho pulses, instead of a speed", None)
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
     harmonics: int = setting("integer", "multiples of the speed that count, from 1x", default=1)
 
@@ -62,8 +62,8 @@ class ShaftLines(Settings):
 class MaskSettings(ShaftLines):
     """Lines excluded from the response: the shaft speed and its harmonics."""
 
-    width: float | None = setting(
-        "value", "left out to either side; default: 2 lines (random) or half a line", unit="Hz", default=None
+    width: float | None = quantity(
+        "left out to either side; default: 2 lines (random) or half a line", "Hz", None
     )
 
     def __post_init__(self) -> None:
@@ -76,21 +76,13 @@ class MaskSettings(ShaftLines):
 class ImpactSettings(Settings):
     """Detection, windows and acceptance of hammer hits; levels as shares of the hit's peak."""
 
-    trigger: float = setting(
-        "value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1
+    trigger: float = quantity("a hit begins where the force exceeds this share of the largest hit", "1", 0.1)
+    pretrigger: float = quantity("share of the block that lies before the hit", "1", 0.02)
+    force_window: float | None = quantity(
+        "length of the force window from the hit on; default: none", "s", None
     )
-    pretrigger: float = setting(
-        "value", "share of the block that lies before the hit", unit="1", default=0.02
-    )
-    force_window: float | None = setting(
-        "value", "length of the force window from the hit on; default: none", unit="s", default=None
-    )
-    decay: float | None = setting(
-        "value", "time constant of the exponential window; default: none", unit="s", default=None
-    )
-    double_hit: float = setting(
-        "value", "a second push above this share of the peak is a double hit", unit="1", default=0.1
-    )
+    decay: float | None = quantity("time constant of the exponential window; default: none", "s", None)
+    double_hit: float = quantity("a second push above this share of the peak is a double hit", "1", 0.1)
     reject: tuple[int, ...] = setting(
         "names", "numbers of hits that are left out, counted from 1", default=()
     )
@@ -111,21 +103,12 @@ class ImpactSettings(Settings):
 class FreeDecaySettings(Settings):
     """Where the free decays of a recording begin and end; times from its first sample on."""
 
-    start: float | None = setting(
-        "value", "where the decay begins; default: after every hit or release", unit="s", default=None
+    start: float | None = quantity("where the decay begins; default: after every hit or release", "s", None)
+    end: float | None = quantity("where it ends; default: at the next hit, or in the noise", "s", None)
+    settle: float | None = quantity(
+        "left out after the largest value of every decay; default: one period", "s", None
     )
-    end: float | None = setting(
-        "value", "where it ends; default: at the next hit, or in the noise", unit="s", default=None
-    )
-    settle: float | None = setting(
-        "value",
-        "left out after the largest value of every decay; default: one period",
-        unit="s",
-        default=None,
-    )
-    trigger: float = setting(
-        "value", "a hit counts where the response exceeds this share of its largest", unit="1", default=0.1
-    )
+    trigger: float = quantity("a hit counts where the response exceeds this share of its largest", "1", 0.1)
 
     def __post_init__(self) -> None:
         for name in ("start", "end", "settle"):
@@ -146,39 +129,29 @@ class FreeDecaySettings(Settings):
 class FrfSettings(Settings):
     """How recordings become a frequency response; times in s, frequencies in Hz."""
 
-    excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
+    excitation: str = choice("kind of excitation", EXCITATIONS)
     _: KW_ONLY
-    period: float | None = setting(
-        "value", "length of one period of a periodic excitation", unit="s", default=None
-    )
+    period: float | None = quantity("length of one period of a periodic excitation", "s", None)
     skip: int = setting(
         "integer",
         "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)",
         default=1,
     )
-    settle: float | None = setting(
-        "value",
-        "time dropped after each step (stepped-sine); default: until the transient is in the noise",
-        unit="s",
-        default=None,
+    settle: float | None = quantity(
+        "time dropped after each step (stepped-sine); default: until the transient is in the noise", "s", None
     )
     smooth: int = setting(
         "integer", "noise is averaged over this many lines to either side (periodic)", default=5
     )
-    block: float | None = setting("value", "length of one block (random, impact)", unit="s", default=None)
-    window: str = setting(
-        "text", "window of random data: any name of scipy.signal.get_window", default="hann"
-    )
-    overlap: float = setting("value", "overlap of neighbouring blocks (random)", unit="1", default=0.5)
-    detrend: str = setting(
-        "choice", "trend taken out of every block (random)", choices=DETRENDS, default="constant"
-    )
-    estimator: str = setting("choice", "estimator of random data and hits", choices=ESTIMATORS, default="H1")
-    local: str = setting(
-        "choice",
+    block: float | None = quantity("length of one block (random, impact)", "s", None)
+    window: str = text("window of random data: any name of scipy.signal.get_window", "hann")
+    overlap: float = quantity("overlap of neighbouring blocks (random)", "1", 0.5)
+    detrend: str = choice("trend taken out of every block (random)", DETRENDS, "constant")
+    estimator: str = choice("estimator of random data and hits", ESTIMATORS, "H1")
+    local: str = choice(
         "FRF and leakage as polynomials over neighbouring lines, in place of a window (random)",
-        choices=LOCALS,
-        default="none",
+        LOCALS,
+        "none",
     )
     degree: int = setting("integer", "degree of the local polynomials (local, sweep)", default=2)
     half_width: int | None = setting(
@@ -200,11 +173,10 @@ class FrfSettings(Settings):
         "window that hits have already: its damping is taken out", WindowedSettings, None
     )
     decay: FreeDecaySettings = section("free decays: start and end", FreeDecaySettings, FreeDecaySettings())
-    result: str = setting(
-        "choice",
+    result: str = choice(
         "one response matrix, or the spectra of all channels side by side with their noise",
-        choices=RESULTS,
-        default="response",
+        RESULTS,
+        "response",
     )
     reference: tuple[str, ...] = setting(
         "names",
