@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
-from labpipe.errors import DataError
+from labpipe.errors import DataError, located
 from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import TIME_NAMES, contradictions, is_recording, named_times
 from labpipe.project.ready_response import is_response, load_response
@@ -143,7 +143,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
     rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
     if any(name.lower() in TIME_NAMES for name in frequencies):
         rate_text = f"a spectrum: '{frequencies[0]}' is a frequency in Hz, no time"
-    try:
+    with located(file):
         for chunk in table.chunks(names):
             look.add(chunk)
             if time is not None:
@@ -155,9 +155,6 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
             rate_text = f"{per_unit:g} samples per unit of '{times[0]}'"
             with suppress(DataError):
                 rate = per_unit / time_scale(times[0], table.units)
-    except DataError as error:
-        error.where = error.where or str(file)
-        raise
     if rate is None and rig is not None:
         rate = rig.sample_rate
     units = [table.units.get(name, "") for name in names]

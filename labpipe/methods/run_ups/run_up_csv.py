@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import DataError
+from labpipe.errors import DataError, located
 from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.table import check_columns
@@ -60,7 +60,7 @@ def read_run_up_csv(
     phase_error = read.errors("phase error", np.ones_like(phase), "rad")
     if load is None or "load" in read.head:
         load = read.value("load", "N")
-    try:
+    with located(path):
         shaker, unbalances = read.shaker(), read.unbalances()
         if not unbalances and shaker is None and unbalance is not None:
             unbalances = dict(unbalance) or {read.planes[0]: 0j}
@@ -76,8 +76,6 @@ def read_run_up_csv(
             shaker=shaker,
             threshold=read.threshold(),
         )
-    except DataError as error:
-        raise DataError(error.what, error.where or str(path), error.hint) from None
 
 
 class _Reader:
