@@ -4,7 +4,7 @@ Omega_meas) / s)^2 + sum (p / spread)^2, r the residual of the responses over th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -20,7 +20,13 @@ from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups import rotor
-from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, shared_noise, sources_of
+from labpipe.methods.run_ups.misfit import (
+    LoadRuns,
+    displacement_slopes,
+    runs_by_speeds,
+    shared_noise,
+    sources_of,
+)
 from labpipe.methods.run_ups.records import OUTSIDE, RunUp
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
@@ -60,16 +66,13 @@ class MeasuredThreshold:
     speed: Uncertain
 
     def residual(self, model: rotor.CoefficientFamily, values: FloatArray) -> Residual:
-        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter), by d
-        Omega_th = -d growth / (d growth / d Omega). FitError as `nearby_threshold`. Equation (run-threshold).
+        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter).
+        FitError as `nearby_threshold`.
         """
-        speed, by_speed = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
-        eight, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
-        stiffness, damping = rotor.as_matrices(eight)
-        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
-        slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
+        speed, by_eight = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
+        _, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
         error = self.speed.std_error
-        return np.array([(speed - self.speed.value) / error]), lambda: -slopes[None] / (by_speed * error)
+        return np.array([(speed - self.speed.value) / error]), lambda: by_eight @ by_parameter[0] / error
 
 
 def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
@@ -80,9 +83,10 @@ def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> 
 
 def nearby_threshold(
     rig: rotor.RunUpRotor, coefficients: CoefficientsAtSpeed, start: float
-) -> tuple[float, float]:
-    """The threshold [rad/s] by Newton's method from *start*, and the slope of the least stable mode's growth
-    rate by speed there [1/s per rad/s]; FitError where there is none near.
+) -> tuple[float, FloatArray]:
+    """The threshold [rad/s] by Newton's method from *start*, and its derivatives (1, 8) by the coefficients
+    there, d Omega_th = -d growth / (d growth / d Omega); FitError where there is none near. Equation
+    (run-threshold).
     """
     speed = start
     for _ in range(MOST_SEARCHES):
@@ -95,7 +99,11 @@ def nearby_threshold(
             break
         step = (mode.growth - GROWTH_TOLERANCE) / by_speed
         if abs(step) < SEARCH_TOLERANCE * start:
-            return speed - step, by_speed
+            speed -= step
+            stiffness, damping = coefficients(np.array([speed]))
+            mode = rig.stability.least_stable(speed, stiffness[0], damping[0])
+            by_eight = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()])
+            return speed, -by_eight[None] / by_speed
         speed = float(np.clip(speed - step, 0.7 * speed, 1.4 * speed))
     hint = "check load, unit of speed and rotor file"
     raise FitError("the computed threshold of instability is far from the measured one", hint=hint)
@@ -107,8 +115,8 @@ REJECTED = 1e-3
 LOAD_SLACK = 0.01
 # Parameters that are exponents, not logarithms of factors.
 EXPONENTS = ("viscosity_speed", "viscosity_load")
-# Step of a difference, in standard errors along each axis of the covariance.
-STEP = 0.5
+# Half-width of the differences that give the bend of a peak, as a part of its speed.
+PEAK_STEP = 5e-3
 
 
 def outside(load: float, low: float, high: float, of: str) -> str:
@@ -199,10 +207,59 @@ class RunUpFit(Posterior[Family]):
         """The eight coefficients (n_speed, 8) [N/m, N s/m] and their derivatives by the parameters."""
         return self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
 
+    @property
+    def whole_covariance(self) -> FloatArray:
+        """Of all parameters (n_parameter, n_parameter) [1]: noise and priors, widened, and the probes."""
+        return self.widening**2 * self.covariance + self.systematic.T @ self.systematic
+
+    def unexplained(self, load: float, speed: FloatArray) -> FloatArray:  # noqa: ARG002
+        """Covariance (n_speed, n_speed) [-] of the logarithms of each coefficient beyond the parameters."""
+        return np.zeros((speed.size, speed.size))
+
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
+        eight, slopes = self.with_slopes(load, speed)
+        variance = np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes)
+        beyond = np.maximum(np.diagonal(self.unexplained(load, speed)), 0)[:, None] * eight**2
+        return eight, np.sqrt(variance + self.widening**2 * beyond)
+
+    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
+        """Speed [rad/s] of the largest displacement at a plane, or the last one; its error from d Omega =
+        -d(A') / A'', A the displacement at the peak and a little to both sides.
+        """
+        speed = self.rig.critical_speed(self.at_load(load), plane)
+        step = PEAK_STEP * speed
+        around = speed + step * np.array([-1.0, 0.0, 1.0])
+        number = self.rig.plane_names.index(plane) if plane else -1
+        response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
+            *self.at_load(load)(around)
+        )
+        size = rotor.largest_displacement(response.reshape(3, -1, 2))[:, number]
+        bend = (size[0] - 2 * size[1] + size[2]) / step**2
+        sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
+        by_eight = displacement_slopes(response, slopes)[:, number] * sides
+        return Uncertain(speed, self._error(load, around, by_eight))
+
+    def threshold(self, load: float) -> Uncertain | None:
+        """Onset speed of instability [rad/s], if there is one within the search."""
+        onset = self.rig.threshold(self.at_load(load))
+        if onset is None:
+            return None
+        speed, by_eight = nearby_threshold(self.rig, self.at_load(load), onset)
+        return Uncertain(speed, self._error(load, np.array([speed]), by_eight))
+
     def extrapolated(self, load: float) -> str:
         """Warning on a *load* [N] beyond those of the fit, or empty."""
         beyond = outside(load, min(self.loads), max(self.loads), "the fit")
         return beyond and f"{beyond}: "
+
+    def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
+        """Of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
+        eight, slopes = self.with_slopes(load, speed)
+        by_parameter, by_field = np.einsum("ni,nij->j", weights, slopes), weights * eight
+        beyond = np.einsum("ni,nm,mi->", by_field, self.unexplained(load, speed), by_field)
+        variance = by_parameter @ self.whole_covariance @ by_parameter
+        return float(np.sqrt(variance + self.widening**2 * max(float(beyond), 0.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,11 +294,6 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         """Posterior standard deviations of the logarithms (12,) [-], widened; NaN at a bound."""
         return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.whole_covariance)))
 
-    @property
-    def whole_covariance(self) -> FloatArray:
-        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the probes."""
-        return self.widening**2 * self.covariance + self.systematic.T @ self.systematic
-
     def parameter(self, name: str) -> Uncertain:
         """The factor exp(value) on the rotor file's value; of the two slopes the exponent itself."""
         n = rotor.PARAMETERS.index(name)
@@ -249,29 +301,6 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         if name in EXPONENTS:
             return Uncertain(value, error)
         return Uncertain(float(np.exp(value)), float(np.exp(value)) * error)
-
-    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
-        eight, slopes = self.with_slopes(load, speed)
-        return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
-
-    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement at a plane, or the last one."""
-        return self._predict(lambda values: self.rig.critical_speed(self.model.at_load(values, load), plane))
-
-    def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s], if there is one within the search."""
-        if self.rig.threshold(self.at_load(load)) is None:
-            return None
-
-        def speed_of(values: FloatArray) -> float:
-            speed = self.rig.threshold(self.model.at_load(values, load))
-            if speed is None:
-                what = "the threshold speed leaves the range of the search within its own uncertainty"
-                raise FitError(what, hint=f"it is above {self.rig.search.highest / rotor.RPM:.0f} rpm")
-            return speed
-
-        return self._predict(speed_of)
 
     def caution(self, load: float) -> str:
         """Warning on a rejected family and on a *load* [N] beyond those of the fit, or empty."""
@@ -281,17 +310,6 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         only += "chi-square tests the measured loads only"
         beyond = self.extrapolated(load)
         return "; ".join(([rejected] if self.rejected else []) + ([f"{beyond}{only}"] if beyond else []))
-
-    def _predict(self, predict: Callable[[FloatArray], float]) -> Uncertain:
-        """By central differences along the axes of the covariance."""
-        sizes, axes = np.linalg.eigh(self.whole_covariance)
-        variance = 0.0
-        for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
-            if size > 0:
-                change = STEP * size * axis
-                moved = predict(self.values + change) - predict(self.values - change)
-                variance += (moved / (2 * STEP)) ** 2
-        return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
 
 MOST_REFITS = 12
