@@ -270,7 +270,7 @@ class FitSettings(Settings):
         what = "one group does not show what groups scatter by"
         hint = "for example [mon-*, tue-*, wed-*]"
         _refuse(len(self.repeat_groups) == 1, "repeat_groups", what, hint)
-        _refuse(not 0 < self.coverage < 1, "coverage", "'coverage' must lie between 0 and 100 %")
+        self.require_share("coverage")
         several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
         every = f"every mode of model {self.model} has its own"
         what = f"{self.damping} damping is of several coefficients, {every}"

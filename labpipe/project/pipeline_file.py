@@ -74,8 +74,7 @@ class UncertaintySettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not 0 < self.coverage < 1:
-            raise SettingError("coverage", "'coverage' must lie between 0 and 100 %")
+        self.require_share("coverage")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
             hint = "method: monte-carlo, or leave it out"
             raise SettingError("draws", "'draws' are of method monte-carlo", hint)

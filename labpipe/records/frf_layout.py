@@ -18,8 +18,7 @@ class WindowedSettings(Settings):
     exponential: float = quantity("time constant of the exponential window that an analyser applied", "s")
 
     def __post_init__(self) -> None:
-        if self.exponential <= 0:
-            raise ConfigError("'exponential' must be positive")
+        self.require_positive("exponential")
 
 
 # Windows of analysers by name.

@@ -445,6 +445,15 @@ class Settings:
             if any(number < 0 for number in self._numbers(name)):
                 raise SettingError(name, f"{name} must not be negative")
 
+    def require_share(self, *names: str, or_none: bool = False) -> None:
+        """ConfigError for the first of the entries that is no share of a whole: above zero, or zero too if it
+        may be *or_none*, and below one.
+        """
+        for name in names:
+            if not all(0 < number < 1 or (or_none and number == 0) for number in self._numbers(name)):
+                what = "be at least 0 and below 100 %" if or_none else "lie between 0 and 100 %"
+                raise SettingError(name, f"{name} must {what}")
+
     def _numbers(self, name: str) -> tuple[float, ...]:
         """The numbers of an entry, none where it is not given."""
         value = getattr(self, name)

@@ -49,13 +49,9 @@ class ShaftLines(Settings):
     def __post_init__(self) -> None:
         if (self.speed is None) == (self.tacho is None):
             raise ConfigError("one of 'speed' and 'tacho' is needed", hint="speed: 50 Hz, or tacho: CHANNEL")
-        if self.speed is not None and self.speed <= 0:
-            raise ConfigError("'speed' must be positive")
+        self.require_positive("speed", "pulses", "harmonics")
         if self.speed is not None and self.pulses != 1:
             raise ConfigError("'pulses' belong to a tacho", hint="leave them out beside 'speed'")
-        for count in ("pulses", "harmonics"):
-            if getattr(self, count) < 1:
-                raise ConfigError(f"'{count}' must be at least 1")
 
 
 @dataclass(frozen=True)
@@ -68,8 +64,7 @@ class MaskSettings(ShaftLines):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.width is not None and self.width < 0:
-            raise ConfigError("'width' must not be negative")
+        self.require_not_negative("width")
 
 
 @dataclass(frozen=True)
@@ -89,14 +84,9 @@ class ImpactSettings(Settings):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reject", tuple(_hit_number(number) for number in self.reject))
-        for share in ("trigger", "double_hit"):
-            if not 0 < getattr(self, share) < 1:
-                raise ConfigError(f"'{share}' must lie between 0 and 100 %")
-        if not 0 <= self.pretrigger < 1:
-            raise ConfigError("'pretrigger' must be at least 0 and below 100 %")
-        for length in ("force_window", "decay"):
-            if getattr(self, length) is not None and getattr(self, length) <= 0:
-                raise ConfigError(f"'{length}' must be positive")
+        self.require_share("trigger", "double_hit")
+        self.require_share("pretrigger", or_none=True)
+        self.require_positive("force_window", "decay")
 
 
 @dataclass(frozen=True)
@@ -111,18 +101,14 @@ class FreeDecaySettings(Settings):
     trigger: float = quantity("a hit counts where the response exceeds this share of its largest", "1", 0.1)
 
     def __post_init__(self) -> None:
-        for name in ("start", "end", "settle"):
-            value = getattr(self, name)
-            if value is not None and value < 0:
-                raise SettingError(name, f"'{name}' must not be negative")
+        self.require_not_negative("start", "end", "settle")
         if self.end is not None and self.end <= (self.start or 0.0):
             raise SettingError("end", "'end' must come after 'start'")
         for name in ("settle", "trigger") if self.start is not None else ():
             if name in self.written:
                 what = f"'{name}' is for decays that are looked for, 'start' says where they begin"
                 raise SettingError(name, what, "leave one of them out")
-        if not 0 < self.trigger < 1:
-            raise SettingError("trigger", "'trigger' must lie between 0 and 100 %")
+        self.require_share("trigger")
 
 
 @dataclass(frozen=True)
@@ -191,16 +177,14 @@ class FrfSettings(Settings):
     def __post_init__(self) -> None:
         self._check_length()
         self._check_keys()
-        if not 0 <= self.overlap < 1:
-            raise ConfigError("'overlap' must be at least 0 and below 100 %")
+        self.require_share("overlap", or_none=True)
         if self.windowed is not None and self.impact.decay is not None:
             what = "'windowed' and impact.decay are two exponential windows"
             raise SettingError("windowed", what, "leave out impact.decay: the data have their window already")
         self._check_local()
         self._check_result()
         self._check_bands()
-        if self.settle is not None and self.settle < 0:
-            raise SettingError("settle", "'settle' must not be negative")
+        self.require_not_negative("settle")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
             what = f"'mask' needs its 'width' with {self.excitation}"
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
@@ -302,12 +286,10 @@ class FrfSettings(Settings):
         needed = NEEDED.get(self.excitation)
         if needed is None:
             return
-        length = getattr(self, needed)
-        if length is None:
+        if getattr(self, needed) is None:
             hint = f"{self.excitation} excitation needs it, e.g. {needed}: 1 s"
             raise ConfigError(f"'{needed}' is missing", hint=hint)
-        if length <= 0:
-            raise ConfigError(f"'{needed}' must be positive")
+        self.require_positive(needed)
 
 
 def _hit_number(text: str | int) -> int:

@@ -83,13 +83,6 @@ class EquilibriumSettings(Settings):
         self.require_positive("clearance")
 
 
-def _check_shares(settings: Any) -> None:
-    if not 0 <= settings.tolerance < 1:
-        raise ConfigError("'tolerance' must be at least 0 and below 100 %")
-    if not 0 < settings.level < 1:
-        raise ConfigError("'level' must lie between 0 and 100 %")
-
-
 @dataclass(frozen=True, kw_only=True)
 class MatrixSettings(Settings):
     """One entry under ``matrix:``."""
@@ -123,7 +116,8 @@ class MatrixSettings(Settings):
         if self.path is not None and self.path.load not in self.over:
             what = f"the load '{self.path.load}' of the path is none of 'over'"
             raise ConfigError(what, hint=f"over: {', '.join(self.over)}")
-        _check_shares(self)
+        self.require_share("tolerance", or_none=True)
+        self.require_share("level")
         if self.theory is not None and self.theory.bearing and len(self.theory.entries) != len(self.over):
             what = f"'theory.entries' names one entry for each of {len(self.over)} conditions"
             raise ConfigError(what, hint="for example over: [speed, load] with entries: [speed, load]")
@@ -203,7 +197,8 @@ class CompareSettings(Settings):
     def __post_init__(self) -> None:
         self._check_keys()
         self._check_over()
-        _check_shares(self)
+        self.require_share("tolerance", or_none=True)
+        self.require_share("level")
         self.require_not_negative("setting_error")
         if self.estimate and self.theory is None:
             what = "'estimate' has no loop whose unknowns can be fitted"

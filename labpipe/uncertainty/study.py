@@ -83,8 +83,8 @@ class StudySettings(Settings):
             raise ConfigError("'lines' needs whole numbers of at least 2")
         if any(len(values) != len(self.noise) for _, values in self.printed):
             raise ConfigError("'printed' needs one value for each noise level")
-        if any(limit <= 0 for limit in self.success) or not 0 < self.share < 1:
-            raise ConfigError("'success' must be above zero, 'share' between 0 and 100 %")
+        self.require_positive("success")
+        self.require_share("share")
 
 
 # Responses of a study from a virtual rig, noise level and seed, and their true parameters.

@@ -53,13 +53,10 @@ class MagnetSettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not 0 < self.band_confidence < 1:
-            raise SettingError("band_confidence", "'band_confidence' must lie between 0 and 100 %")
-        self.require_positive("hold", "amplifier_bandwidth")
+        self.require_share("band_confidence")
+        self.require_positive("hold", "amplifier_bandwidth", "inertia")
         if self.amplifier_bandwidth is not None and self.hold is None:
             raise SettingError("amplifier_bandwidth", "'amplifier_bandwidth' goes with hold", "hold: 20 kHz")
-        if self.inertia is not None and not self.inertia.value > 0:
-            raise SettingError("inertia", "'inertia' must be above zero")
 
 
 @dataclass(frozen=True)

@@ -54,8 +54,7 @@ class DecayRig(Settings):
         if not all(lowest <= frequency < highest for frequency in self.frequencies):
             what = f"frequencies must lie between {lowest:g} Hz, a period after a hit, and {highest:g} Hz"
             raise SettingError("frequencies", what)
-        if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
-            raise SettingError("damping_ratios", "damping ratios must lie between 0 and 100 %")
+        self.require_share("damping_ratios", or_none=True)
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:

@@ -130,8 +130,7 @@ class RunSettings(Settings):
             for name in ("rig", "tacho", "pulses", "harmonics", "revolutions"):
                 if getattr(self, name) != declared[name].default:
                     raise SettingError(name, f"'{name}' belongs to a recording", "leave it out of a table")
-        if self.load is not None and self.load <= 0:
-            raise ConfigError("'load' must be positive")
+        self.require_positive("load")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
             raise ConfigError("'threshold' needs its uncertainty", hint="for example 2772 rpm +- 6 rpm")
         for name in ("printed_critical_speed", "printed_threshold"):
