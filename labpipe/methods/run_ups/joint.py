@@ -19,14 +19,7 @@ from labpipe.estimation.statistics import Stated, combination_text, pulls_of, st
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups import rotor
-from labpipe.methods.run_ups.misfit import (
-    LoadRuns,
-    displacement_slopes,
-    runs_by_speeds,
-    shared_noise,
-    sources_of,
-)
+from labpipe.methods.run_ups import misfit, rotor
 from labpipe.methods.run_ups.records import OUTSIDE, RunUp
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
@@ -43,7 +36,7 @@ Family = TypeVar("Family", bound=rotor.CoefficientFamily)
 
 def run_up_problem(
     family: Family,
-    groups: tuple[LoadRuns, ...],
+    groups: tuple[misfit.LoadRuns, ...],
     thresholds: tuple[MeasuredThreshold, ...],
     spread: FloatArray,
     free: BoolArray | None = None,
@@ -75,7 +68,9 @@ class MeasuredThreshold:
         return np.array([(speed - self.speed.value) / error]), lambda: by_eight @ by_parameter[0] / error
 
 
-def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
+def measured_thresholds(
+    rig: rotor.RunUpRotor, groups: tuple[misfit.LoadRuns, ...]
+) -> tuple[MeasuredThreshold, ...]:
     """Each once: files of one load may state the same measurement."""
     stated = dict.fromkeys((group.load, run.run.threshold) for group in groups for run in group.runs)
     return tuple(MeasuredThreshold(rig, load, speed) for load, speed in stated if speed is not None)
@@ -134,8 +129,8 @@ class RunUpFit(Posterior[Family]):
     steps: int
 
     @property
-    def groups(self) -> list[LoadRuns]:
-        return [test for test in self.problem.tests if isinstance(test, LoadRuns)]
+    def groups(self) -> list[misfit.LoadRuns]:
+        return [test for test in self.problem.tests if isinstance(test, misfit.LoadRuns)]
 
     @property
     def loads(self) -> tuple[float, ...]:
@@ -144,13 +139,15 @@ class RunUpFit(Posterior[Family]):
 
     @property
     def sources(self) -> tuple[Uncertainty, ...]:
-        return sources_of(self.groups)
+        return misfit.sources_of(self.groups)
 
     @cached_property
     def covariance(self) -> FloatArray:
         """V + V E V of all parameters (n_parameter, n_parameter) [1], E the `shared_noise` of the runs."""
         covariance = super().covariance
-        return covariance + covariance @ shared_noise(self._by_baselines(), len(covariance)) @ covariance
+        return (
+            covariance + covariance @ misfit.shared_noise(self._by_baselines(), len(covariance)) @ covariance
+        )
 
     def _by_baselines(self) -> Iterator[tuple[RunUp, FloatArray]]:
         for group in self.groups:
@@ -237,7 +234,7 @@ class RunUpFit(Posterior[Family]):
         size = rotor.largest_displacement(response.reshape(3, -1, 2))[:, number]
         bend = (size[0] - 2 * size[1] + size[2]) / step**2
         sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
-        by_eight = displacement_slopes(response, slopes)[:, number] * sides
+        by_eight = misfit.displacement_slopes(response, slopes)[:, number] * sides
         return Uncertain(speed, self._error(load, around, by_eight))
 
     def threshold(self, load: float) -> Uncertain | None:
@@ -333,7 +330,7 @@ def fit_jointly(
     """
     runs = list(runs)
     rig = rotor.searched_over(rig, runs)
-    groups = tuple(runs_by_speeds(rig, runs))
+    groups = tuple(misfit.runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     free = np.array([name not in known for name in rotor.PARAMETERS])
     family = family_about(rig, [group.load for group in groups])

@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from scipy import linalg
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
@@ -268,7 +267,7 @@ class LinearData:
         matrix[np.diag_indices_from(matrix)] += 1
         side = np.concatenate([np.einsum("pia,pi->a", scaled, self.side), (self.side.T @ basis).ravel()])
         factor = np.linalg.cholesky(matrix)
-        reduced = linalg.solve_triangular(factor, side, lower=True)
+        reduced = scipy.linalg.solve_triangular(factor, side, lower=True)
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
 
 
