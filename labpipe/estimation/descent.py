@@ -86,7 +86,7 @@ def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: Flo
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             values = residual(parameters)
-    except FitError:
+    except (FitError, np.linalg.LinAlgError):
         return float("inf")
     return float(values @ values) if np.all(np.isfinite(values)) else float("inf")
 
