@@ -210,7 +210,7 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     """Mean and covariance of the tuned parameters of a fit [SI units], of depth and angle as well where it
     was of the *same_wear*, inflated where its residual exceeds the noise. ConfigError where it tuned nothing.
     """
-    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
+    estimated = fit.estimated
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)
     numbers = [number for number, parameter in enumerate(estimated) if parameter.name in carried]
     if same_wear and not all(
