@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
@@ -199,15 +199,10 @@ class FrfSettings(Settings):
             raise SettingError("exclude", what, "leave it out, or mend its unit")
 
     def _check_keys(self) -> None:
-        given = [
-            field.name
-            for field in fields(self)
-            if "setting" in field.metadata and getattr(self, field.name) != field.default
-        ]
         idle: tuple[str, ...] = ()
         if self.excitation == "random":
             idle = OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES
-        for name in given:
+        for name in self.written:
             if name not in ("excitation", *KEYS[self.excitation]):
                 able = ", ".join(excitation for excitation in EXCITATIONS if name in KEYS[excitation])
                 what = f"'{name}' is not for {self.excitation} excitation"

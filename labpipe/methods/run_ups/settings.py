@@ -126,9 +126,8 @@ class RunSettings(Settings):
         if self.recording:
             self._check_recording()
         else:
-            declared = type(self).__dataclass_fields__
             for name in ("rig", "tacho", "pulses", "harmonics", "revolutions"):
-                if getattr(self, name) != declared[name].default:
+                if name in self.written:
                     raise SettingError(name, f"'{name}' belongs to a recording", "leave it out of a table")
         self.require_positive("load")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
