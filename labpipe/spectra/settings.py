@@ -221,9 +221,8 @@ class FrfSettings(Settings):
         if self.reference and self.excitation != "random":
             what = "'reference' is for random excitation: periodic data need no drives"
             raise SettingError("reference", what, "leave it out")
-        of_matrix = {"directional": False, "realisations": False, "local": "none", "estimator": "H1"}
-        for name, otherwise in of_matrix.items():
-            if getattr(self, name) != otherwise:
+        for name in ("directional", "realisations", "local", "estimator"):
+            if name in self.written:
                 what = f"'{name}' belongs to a response matrix, not to result: spectra"
                 raise SettingError(name, what, "leave it out")
 

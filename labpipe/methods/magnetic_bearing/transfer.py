@@ -255,7 +255,7 @@ class ControllerBlock(Settings):
     def __post_init__(self) -> None:
         form = FORMS[self.form]
         for name, declared in self.__dataclass_fields__.items():
-            given = getattr(self, name) != declared.default
+            given = name in self.written
             if name in form.needs and not given:
                 hint = declared.metadata["setting"].help
                 raise ConfigError(f"{name}: is missing for the form {self.form}", hint=hint)
