@@ -59,13 +59,16 @@ class MeasuredThreshold:
     speed: Uncertain
 
     def residual(self, model: rotor.CoefficientFamily, values: FloatArray) -> Residual:
-        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter).
-        FitError as `nearby_threshold`.
+        """(Omega_th - Omega_meas) / s (1,) [-] and its derivatives by the parameters (1, n_parameter), by d
+        Omega_th = -d growth / (d growth / d Omega). FitError as `nearby_threshold`. Equation (run-threshold).
         """
-        speed, by_eight = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
-        _, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
+        speed, by_speed = nearby_threshold(self.rig, model.at_load(values, self.load), self.speed.value)
+        eight, by_parameter = model.coefficients_and_slopes(values, np.array([self.load]), np.array([speed]))
+        stiffness, damping = rotor.as_matrices(eight)
+        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
+        slopes = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) @ by_parameter[0]
         error = self.speed.std_error
-        return np.array([(speed - self.speed.value) / error]), lambda: by_eight @ by_parameter[0] / error
+        return np.array([(speed - self.speed.value) / error]), lambda: -slopes[None] / (by_speed * error)
 
 
 def measured_thresholds(
@@ -78,10 +81,9 @@ def measured_thresholds(
 
 def nearby_threshold(
     rig: rotor.RunUpRotor, coefficients: CoefficientsAtSpeed, start: float
-) -> tuple[float, FloatArray]:
-    """The threshold [rad/s] by Newton's method from *start*, and its derivatives (1, 8) by the coefficients
-    there, d Omega_th = -d growth / (d growth / d Omega); FitError where there is none near. Equation
-    (run-threshold).
+) -> tuple[float, float]:
+    """The threshold [rad/s] by Newton's method from *start*, and the slope of the least stable mode's growth
+    rate by speed there [1/s per rad/s]; FitError where there is none near.
     """
     speed = start
     for _ in range(MOST_SEARCHES):
@@ -94,11 +96,7 @@ def nearby_threshold(
             break
         step = (mode.growth - GROWTH_TOLERANCE) / by_speed
         if abs(step) < SEARCH_TOLERANCE * start:
-            speed -= step
-            stiffness, damping = coefficients(np.array([speed]))
-            mode = rig.stability.least_stable(speed, stiffness[0], damping[0])
-            by_eight = np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()])
-            return speed, -by_eight[None] / by_speed
+            return speed - step, by_speed
         speed = float(np.clip(speed - step, 0.7 * speed, 1.4 * speed))
     hint = "check load, unit of speed and rotor file"
     raise FitError("the computed threshold of instability is far from the measured one", hint=hint)
@@ -242,8 +240,11 @@ class RunUpFit(Posterior[Family]):
         onset = self.rig.threshold(self.at_load(load))
         if onset is None:
             return None
-        speed, by_eight = nearby_threshold(self.rig, self.at_load(load), onset)
-        return Uncertain(speed, self._error(load, np.array([speed]), by_eight))
+        speed, by_speed = nearby_threshold(self.rig, self.at_load(load), onset)
+        stiffness, damping = self.at_load(load)(np.array([speed]))
+        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
+        by_eight = -np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) / by_speed
+        return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
 
     def extrapolated(self, load: float) -> str:
         """Warning on a *load* [N] beyond those of the fit, or empty."""
