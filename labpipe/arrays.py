@@ -38,6 +38,12 @@ def frozen_array(values: ArrayLike, dtype: type, name: str, shape: tuple[int, ..
     return array
 
 
+def freeze(record: object, name: str, dtype: type, shape: tuple[int, ...], called: str = "") -> None:
+    """The array *name* of a frozen record as a frozen_array, *called* so in errors; None stays."""
+    if (values := getattr(record, name)) is not None:
+        object.__setattr__(record, name, frozen_array(values, dtype, called or name, shape))
+
+
 def _is_frozen(values: ArrayLike, dtype: type) -> bool:
     """Whether *values* are an array of *dtype* that is read-only, as is all that it is a view of."""
     if not isinstance(values, np.ndarray) or values.dtype != dtype:

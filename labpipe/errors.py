@@ -6,6 +6,8 @@ Anything else that escapes is a fault of labpipe itself: exit code 3, and a file
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import PurePath
 
 ECHO = 80
@@ -31,6 +33,16 @@ class LabpipeError(Exception):
         place = f"{self.where}: " if self.where else ""
         hint = f"; {self.hint}" if self.hint else ""
         return f"{place}{self.what}{hint}"
+
+
+@contextmanager
+def located(where: str | PurePath) -> Iterator[None]:
+    """A LabpipeError from within says that it is at *where*, unless it says its own place."""
+    try:
+        yield
+    except LabpipeError as error:
+        error.where = error.where or str(where)
+        raise
 
 
 class ConfigError(LabpipeError):

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, frozen_array
+from labpipe.arrays import ComplexArray, FloatArray, freeze
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
@@ -74,8 +74,7 @@ class BearingCoefficients:
     def __post_init__(self) -> None:
         n = len(self.dofs)
         for name in ("stiffness", "damping", "lowest", "highest"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n, n)))
+            freeze(self, name, np.float64, (n, n))
 
     def unit(self, row: int, column: int, of: str = "stiffness") -> str:
         """Unit of a stiffness coefficient: N/m, N/rad (force per tilt, the same as moment per displacement

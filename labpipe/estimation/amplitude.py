@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.descent import minimise, sum_of_squares
+from labpipe.estimation.descent import SquareSum, minimise
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel
 from labpipe.estimation.regression import solve_scaled, triangle_of
@@ -21,7 +21,7 @@ NO_DAMPING = "the amplitudes fit no real damping: c^2 came out negative"
 
 
 @dataclass(frozen=True)
-class _Amplitudes:
+class _Amplitudes(SquareSum):
     """|H| (n_line,) [m/N] with its standard deviation (n_line,), None for an unknown noise."""
 
     measured: Measured
@@ -42,9 +42,6 @@ class _Amplitudes:
         h = self.model.receptance(parameters, self.measured.omega).reshape(-1)
         slopes = self.model.jacobian(parameters, self.measured.omega).reshape(len(self.model.terms), -1)
         return -self.scaled((h.conj() * slopes).real / np.abs(h)).T
-
-    def chi2(self, parameters: FloatArray) -> float:
-        return sum_of_squares(self.residual, parameters)
 
     def scaled(self, values: FloatArray) -> FloatArray:
         return values / (self.std if self.std is not None else float(np.max(self.amplitude)))

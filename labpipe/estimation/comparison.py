@@ -14,7 +14,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.damping import FactorModel, damp
-from labpipe.estimation.descent import Linearisation, linearised, minimise, sum_of_squares
+from labpipe.estimation.descent import Linearisation, SquareSum, linearised, minimise
 from labpipe.estimation.likelihood import maximum_likelihood
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, Setup
@@ -34,7 +34,7 @@ MOST_STEPS = 150
 
 
 @dataclass(frozen=True)
-class RationalFit:
+class RationalFit(SquareSum):
     """Elements of H as B_e(s) / A(s) with one common denominator: A of degree 2 n for n modes, B_e of degree
     2 n - 2.
 
@@ -90,12 +90,6 @@ class RationalFit:
         """d residual / d p = -(d B_e - H_e d A) / A, (n_equation, n_parameter) [1]."""
         denominator, fitted = self._fit(parameters)
         return -self._whiten(self._columns(fitted, 1 / denominator)).T
-
-    def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,). Infinite without finite
-        response.
-        """
-        return sum_of_squares(self.residual, parameters)
 
     def linearised(self, parameters: FloatArray) -> Linearisation:
         """The linearisation at *parameters* (n_parameter,) [1] from the normal equations; by QR where

@@ -61,7 +61,7 @@ ROUNDING = 1e-12
 
 
 class SquareSum(Protocol):
-    """A residual (n_equation,) [-] and its Jacobian; chi2 is infinite where the model has no response."""
+    """A residual (n_equation,) [-] and its Jacobian."""
 
     @property
     def size(self) -> float:
@@ -77,8 +77,8 @@ class SquareSum(Protocol):
         ...
 
     def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [-] of the residual at *parameters* (n_parameter,)."""
-        ...
+        """Sum of squares [-] of the residual at *parameters* (n_parameter,), infinite without response."""
+        return sum_of_squares(self.residual, parameters)
 
 
 def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: FloatArray) -> float:
@@ -86,7 +86,7 @@ def sum_of_squares(residual: Callable[[FloatArray], FloatArray], parameters: Flo
     try:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             values = residual(parameters)
-    except FitError:
+    except (FitError, np.linalg.LinAlgError):
         return float("inf")
     return float(values @ values) if np.all(np.isfinite(values)) else float("inf")
 

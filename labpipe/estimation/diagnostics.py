@@ -245,20 +245,20 @@ def goodness_findings(gof: Goodness) -> list[Finding]:
 
 def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
     """A finding where the residual exceeds the measured noise; *biased*: name of an estimator that is so."""
-    factor = excess(estimate)
+    reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
+    factor = excess(reduced, p_value)
     if factor is None:
         return []
     cause = "the model is incomplete" + (f", or {biased} is biased; compare with ml" if biased else "")
     cure = f"Multiply the standard errors by {factor:.3g} at least, or narrow the band."
-    what = excess_text(estimate.gof.chi2_reduced, estimate.gof.chi2_p)
+    what = excess_text(reduced, p_value)
     return [Finding("model-mismatch", f"{what}: {cause}. {cure}")]
 
 
-def excess(estimate: Estimate) -> float | None:
+def excess(reduced: float | None, p_value: float | None) -> float | None:
     """sqrt(chi-square per degree of freedom) [1] where it is significantly above 1, else None. Equation
     (est-excess).
     """
-    reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     if reduced is None or p_value is None or p_value >= MISMATCH_P:
         return None
     return float(np.sqrt(reduced))

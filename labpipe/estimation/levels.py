@@ -81,9 +81,8 @@ def _difference(low: _Test, high: _Test) -> str:
     )
 
 
-def _estimates(fit: Fit) -> list[Parameter]:
-    estimated = [p for p in fit.parameters if not p.derived]
-    return estimated if all(p.std_error for p in estimated) else []
+def _estimates(fit: Fit) -> tuple[Parameter, ...]:
+    return fit.estimated if all(p.std_error for p in fit.estimated) else ()
 
 
 def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:

@@ -149,7 +149,7 @@ def maximum_likelihood(
     """
     if isinstance(model, TransferMode):
         return _of_transfer_mode(measured, model)
-    dof = _dof(measured, model)
+    dof = measured.dof(len(model.names))
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError.of(measured, model)
@@ -159,14 +159,6 @@ def maximum_likelihood(
 
     best, start = _best_minimum(problem, p_value if weighted else None, most_steps)
     return _estimate(measured, model, problem, best, start.name)
-
-
-def _dof(measured: Measured, model: FittedModel) -> int:
-    n_parameter = len(model.names)
-    if measured.n_equation <= n_parameter:
-        what = f"{measured.n_equation} real equations cannot determine {n_parameter} parameters"
-        raise FitError(what, hint="widen the band")
-    return measured.n_equation - n_parameter
 
 
 def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
@@ -194,7 +186,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is
     near; *name* of the start.
     """
-    _dof(measured, model)
+    measured.dof(len(model.names))
     problem = OutputError.of(measured, model)
     return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
 
@@ -202,7 +194,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
 def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
-    n_parameter, dof = len(model.names), _dof(measured, model)
+    n_parameter, dof = len(model.names), measured.dof(len(model.names))
     linear = problem.linearised(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
     residual = measured.matrix - problem.model.receptance(best.values, measured.omega)

@@ -100,6 +100,13 @@ class Measured:
         """Number of real equations."""
         return 2 * self.matrix.size
 
+    def dof(self, n_parameter: int) -> int:
+        """Degrees of freedom of a fit; FitError for none."""
+        if self.n_equation <= n_parameter:
+            what = f"{self.n_equation} real equations cannot determine {n_parameter} parameters"
+            raise FitError(what, hint="widen the band")
+        return self.n_equation - n_parameter
+
 
 def select_ports(
     response: FrequencyResponse, inputs: tuple[str, ...], outputs: tuple[str, ...]

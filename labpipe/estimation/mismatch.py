@@ -74,9 +74,7 @@ class _Minimum:
 
 @dataclass(frozen=True)
 class _Judge:
-    """Judges minima of the output error of one measurement; the parameters of `judge`, and *factor*: the
-    excess over the measured noise, or None.
-    """
+    """Judges minima of the output error of one measurement; the parameters of `judge`."""
 
     measured: Measured
     model: FittedModel
@@ -85,7 +83,11 @@ class _Judge:
     n_band: int
     leaking: bool
     stated: Stated | None
-    factor: float | None
+
+    @property
+    def factor(self) -> float | None:
+        """The excess over the measured noise, or None."""
+        return excess(self.estimate.gof.chi2_reduced, self.estimate.gof.chi2_p)
 
     def finding(self, text: str, remedy: str) -> tuple[Finding, ...]:
         """The finding: leakage of short blocks looks like a wrong model; a narrower band would not help."""
@@ -159,7 +161,7 @@ def judge(
     *stated*: numbers that it allows for. Without convergence, or of amplitudes alone, nothing is judged but a
     measured excess over the noise.
     """
-    judged = _Judge(measured, model, estimate, settings, n_band, leaking, stated, excess(estimate))
+    judged = _Judge(measured, model, estimate, settings, n_band, leaking, stated)
     if (has_noise(measured) and judged.factor is None) or not estimate.converged:
         return Judgement()
     problem = OutputError.of(measured, model)

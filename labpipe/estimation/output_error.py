@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
 from typing import Any, Generic, TypeVar
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.estimation.damping import FactorModel
-from labpipe.estimation.descent import Linearisation, linearised, sum_of_squares, triangle_of_products
+from labpipe.estimation.descent import Linearisation, SquareSum, linearised, triangle_of_products
 from labpipe.estimation.leakage import expected
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import CACHED_ELEMENTS, ActingTerms, DynamicModel, ReceptanceModel, compliance
@@ -184,7 +184,7 @@ Model = TypeVar("Model", bound=ReceptanceModel, covariant=True)
 
 
 @dataclass(frozen=True)
-class OutputError(Generic[Model]):
+class OutputError(SquareSum, Generic[Model]):
     """Measured minus modelled FRF, whitened by *whitener* (n_line, n, n) [N/m] in any of its forms."""
 
     measured: Measured
@@ -213,22 +213,6 @@ class OutputError(Generic[Model]):
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""
         return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
-
-    def chi2(self, parameters: FloatArray) -> float:
-        """Sum of squares [1] of the residual at *parameters* (n_parameter,); infinite without response."""
-        measured, n_chunk = self.measured, max(16, CACHED_ELEMENTS // self.measured.matrix[0].size)
-        if not (isinstance(self.model, DynamicModel) and is_short(self.weights)):
-            return sum_of_squares(self.residual, parameters)
-        # A few lines at a time stay in the cache.
-        chunks = [slice(start, start + n_chunk) for start in range(0, measured.omega.size, n_chunk)]
-        return sum(sum_of_squares(partial(self._residual_of, lines), parameters) for lines in chunks)
-
-    def _residual_of(self, lines: slice, parameters: FloatArray) -> FloatArray:
-        measured = self.measured
-        residual = measured.matrix[lines] - self.model.receptance(parameters, measured.omega[lines])
-        weights = self.weights
-        there = weights.at(lines) if isinstance(weights, ProductWeights) else weights[lines]
-        return whitened(there, residual)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""

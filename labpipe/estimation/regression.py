@@ -114,9 +114,7 @@ class Regression:
 
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
     """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
-    if measured.n_equation <= len(model.terms):
-        what = f"{measured.n_equation} real equations cannot determine {len(model.terms)} parameters"
-        raise FitError(what, hint="widen the band")
+    measured.dof(len(model.terms))
     weights = line_weights(measured, weight)
     by_line = 1.0 if weight == "none" else weights[:, None, None]
     terms = model.equation_terms(measured.matrix, measured.omega)

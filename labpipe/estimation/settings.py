@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
-from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, quantity, section, setting
+from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, choice, quantity, section, setting
 from labpipe.records.uncertain import RepeatSource, Uncertain
 from labpipe.registry import Registry
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -134,12 +134,12 @@ class FitSettings(Settings):
     ``uncertainty:``. *judged*: whether what the residual shows beyond noise is in values and intervals.
     """
 
-    model: str = setting("choice", "what is identified", choices=tuple(MODELS))
+    model: str = choice("what is identified", tuple(MODELS))
     _: KW_ONLY
     mass: Mass = setting(
         "mass", "mass that moves with the response, or `estimate`", unit="kg", default=ESTIMATE
     )
-    estimator: str = setting("choice", "how it is estimated", choices=tuple(ESTIMATORS), default="ml")
+    estimator: str = choice("how it is estimated", tuple(ESTIMATORS), "ml")
     input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
     output: tuple[str, ...] = setting(
         "names", "response channel(s); default: all the model takes", default=()
@@ -172,11 +172,10 @@ class FitSettings(Settings):
         default=False,
     )
     relative: bool = setting("flag", "the response is measured relative to the base", default=False)
-    damping: str = setting(
-        "choice",
+    damping: str = choice(
         "viscous; proportional: C = alpha M + beta K; hysteretic: K (1 + j eta), eta the loss factor",
-        choices=(VISCOUS, *DAMPINGS),
-        default=VISCOUS,
+        (VISCOUS, *DAMPINGS),
+        VISCOUS,
     )
     fixed: tuple[tuple[str, float], ...] = setting(
         "coefficients", "coefficients that are given, by name", default=()
@@ -184,11 +183,8 @@ class FitSettings(Settings):
     tied: tuple[tuple[str, ...], ...] = setting(
         "groups", "lists of coefficients that have one value", default=()
     )
-    weight: str = setting(
-        "choice",
-        "all lines weigh alike, or by their noise (as they always do for ml)",
-        choices=WEIGHTS,
-        default="none",
+    weight: str = choice(
+        "all lines weigh alike, or by their noise (as they always do for ml)", WEIGHTS, "none"
     )
     bootstrap: int = setting(
         "integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0
@@ -201,11 +197,10 @@ class FitSettings(Settings):
     )
     compare: bool = setting("flag", "compare the model with simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
-    repeats: str = setting(
-        "choice",
+    repeats: str = choice(
         "several recordings of one test: each fitted, and their mean; or pool, one fit of all",
-        choices=("each", "pool"),
-        default="each",
+        ("each", "pool"),
+        "each",
     )
     repeat_groups: tuple[str, ...] = setting(
         "names",
@@ -275,7 +270,7 @@ class FitSettings(Settings):
         what = "one group does not show what groups scatter by"
         hint = "for example [mon-*, tue-*, wed-*]"
         _refuse(len(self.repeat_groups) == 1, "repeat_groups", what, hint)
-        _refuse(not 0 < self.coverage < 1, "coverage", "'coverage' must lie between 0 and 100 %")
+        self.require_share("coverage")
         several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
         every = f"every mode of model {self.model} has its own"
         what = f"{self.damping} damping is of several coefficients, {every}"

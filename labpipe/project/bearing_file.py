@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
-from labpipe.errors import ConfigError, LabpipeError
+from labpipe.errors import ConfigError, located
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
 from labpipe.quantities import UnitError, is_number, parse_value
@@ -54,11 +54,8 @@ class BearingFile:
 
     def coefficients(self, settings: list[Any]) -> list[BearingCoefficients]:
         """The coefficients of every settings; errors say which file."""
-        try:
+        with located(self.path):
             return self.kind.coefficients(settings)
-        except LabpipeError as error:
-            error.where = error.where or str(self.path)
-            raise
 
 
 def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:

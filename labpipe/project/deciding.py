@@ -240,7 +240,7 @@ def _covariance(first: Limited, second: Limited) -> float | None:
     if first.owner is second.owner:
         if first.name == second.name:
             return (first.error or 0.0) ** 2
-        names = [parameter.name for parameter in first.owner.parameters if not parameter.derived]
+        names = [parameter.name for parameter in first.owner.estimated]
         matrix = first.owner.correlation
         if {first.name, second.name} <= set(names) and matrix.shape == (len(names),) * 2:
             correlation = float(matrix[names.index(first.name), names.index(second.name)])

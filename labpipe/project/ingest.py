@@ -22,7 +22,7 @@ from labpipe.artefacts.digest import DigestAlong, file_sha256
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import DataError
+from labpipe.errors import DataError, located
 from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import JITTER, ChannelScreen, LostSamples, TimeAxisScreen
@@ -112,25 +112,21 @@ def ingest(
         timed = [*_times_beside(table, rig), *timed]
     screen, calibration = channel_screen(rig), Calibration(rig)
     seconds = time_scale(rig.time, table.units)
-    try:
-        with recording_file.RecordingWriter(target, channels) as writer:
-            for chunk in table.chunks(timed):
-                if time is not None:
-                    time.add(chunk[:, 0] * seconds)
-                block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
-                screen.add(block)
-                writer.write(calibration.with_sums(block))
-            of_times = time.findings() if isinstance(time, LostSamples) else ()
-            sample_rate = _rate(time, table, rig)
-            contents = recording_file.recording_contents(channels, sample_rate, source.stem, screen.levels())
-            of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
-            if isinstance(table, JoinedTable):
-                contents["files"] = {c.channel.name: table.file_of(c.column) for c in rig.channels}
-            found = (*of_table, *screen.findings(), *of_times)
-            writer.finish(replace(header, findings=found, contents=contents))
-    except DataError as error:
-        error.where = error.where or str(table.path)
-        raise
+    with located(table.path), recording_file.RecordingWriter(target, channels) as writer:
+        for chunk in table.chunks(timed):
+            if time is not None:
+                time.add(chunk[:, 0] * seconds)
+            block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
+            screen.add(block)
+            writer.write(calibration.with_sums(block))
+        of_times = time.findings() if isinstance(time, LostSamples) else ()
+        sample_rate = _rate(time, table, rig)
+        contents = recording_file.recording_contents(channels, sample_rate, source.stem, screen.levels())
+        of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
+        if isinstance(table, JoinedTable):
+            contents["files"] = {c.channel.name: table.file_of(c.column) for c in rig.channels}
+        found = (*of_table, *screen.findings(), *of_times)
+        writer.finish(replace(header, findings=found, contents=contents))
     recording = writer.recording()
     for path, reference in zip((source, *joined), header.inputs, strict=True):
         if source_ref(path, base) != reference:

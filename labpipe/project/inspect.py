@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
-from labpipe.errors import DataError
+from labpipe.errors import DataError, located
 from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import TIME_NAMES, contradictions, is_recording, named_times
 from labpipe.project.ready_response import is_response, load_response
@@ -143,7 +143,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
     rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
     if any(name.lower() in TIME_NAMES for name in frequencies):
         rate_text = f"a spectrum: '{frequencies[0]}' is a frequency in Hz, no time"
-    try:
+    with located(file):
         for chunk in table.chunks(names):
             look.add(chunk)
             if time is not None:
@@ -158,9 +158,6 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
                 # A time without a unit is taken for seconds, and not said to be.
                 if table.units.get(times[0]) or times[0].rstrip().endswith(("]", ")")):
                     rate_text = f"{rate:g} Hz by '{times[0]}'"
-    except DataError as error:
-        error.where = error.where or str(file)
-        raise
     if rate is None and rig is not None:
         rate = rig.sample_rate
     units = [table.units.get(name, "") for name in names]

@@ -19,7 +19,7 @@ from labpipe.project.tests import SINGLE, EachFile, SourceFile, Test, TestReader
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections
-from labpipe.records.settings import Settings, quantity, setting, settings_of, text
+from labpipe.records.settings import Settings, choice, quantity, setting, settings_of, text
 from labpipe.records.uncertain import RepeatSource, parse_uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -62,11 +62,8 @@ class UncertaintySettings(Settings):
     """The ``uncertainty:`` section: how uncertainties are propagated in fits that do not say it."""
 
     coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
-    method: str = setting(
-        "choice",
-        "first order, or draws of noise and all uncertainties beside it",
-        choices=METHODS,
-        default="first-order",
+    method: str = choice(
+        "first order, or draws of noise and all uncertainties beside it", METHODS, "first-order"
     )
     draws: int = setting("integer", "draws of method monte-carlo", default=2000)
     repeatability: tuple[tuple[str, RepeatSettings], ...] = setting(
@@ -77,8 +74,7 @@ class UncertaintySettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not 0 < self.coverage < 1:
-            raise SettingError("coverage", "'coverage' must lie between 0 and 100 %")
+        self.require_share("coverage")
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
             hint = "method: monte-carlo, or leave it out"
             raise SettingError("draws", "'draws' are of method monte-carlo", hint)

@@ -16,7 +16,7 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, Term
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import FileKind, Settings, Uncertainties, quantity, setting, text
+from labpipe.records.settings import FileKind, Settings, Uncertainties, choice, quantity, setting, text
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -36,7 +36,7 @@ class RigSettings(Settings):
     name: str = text("name of the rig, as the report shows it")
     description: str = text("what a reader should know of the rig")
     sample_rate: float | None = quantity("sampling rate, where no time column or file gives it", "Hz", None)
-    time: str | None = setting("text", 'time column, for example "t [s]"', default=None)
+    time: str | None = text('time column, for example "t [s]"', None)
     resample: float | None = quantity(
         "rate to which channels at several rates of one file (MDF, LVM) are brought, by cubic splines: that "
         "of the fastest used, or more",
@@ -51,15 +51,10 @@ class RigSettings(Settings):
 class ChannelSettings(Settings):
     """One entry below ``channels:``."""
 
-    quantity: str = setting("choice", "what is measured", choices=tuple(QUANTITIES))
+    quantity: str = choice("what is measured", tuple(QUANTITIES))
     unit: str = text("unit of the recorded numbers; default: SI")
     column: str = text("column of the file; default: the channel's key")
-    role: str = setting(
-        "choice",
-        "input (force), output (response) or reference, as members of sums are",
-        choices=ROLES,
-        default="",
-    )
+    role: str = choice("input (force), output (response) or reference, as members of sums are", ROLES, "")
     dof: str = text("x, y, z, any name, or an angle from x such as '45 deg'")
     position: float | None = setting(
         "value", "place along the axis, where magnets and sensors are apart", unit="m", default=None
@@ -70,8 +65,8 @@ class ChannelSettings(Settings):
     invert: bool = setting("flag", "turn the sign around", default=False)
     delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
     response: str = text("CSV table of the sensor's frequency response, taken out of the FRF")
-    range: tuple[float, float] | None = setting(
-        "text", "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", default=None
+    range: tuple[float, float] | None = text(
+        "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", None
     )
     uncertainty: calibrations.ChainUncertaintySettings | None = setting(
         "section",

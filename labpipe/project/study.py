@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from labpipe.errors import LabpipeError
+from labpipe.errors import located
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
@@ -155,11 +155,8 @@ def run_studies(settings: StudySettings, work: Work) -> Studies:
     """The study of all fits of the pipeline; LabpipeError names the section."""
     pipeline = work.pipeline
     assert settings.virtual_rig is not None
-    try:
+    with located(f"{pipeline.path}: study"):
         return (run_study(settings.virtual_rig, settings, pipeline.fits, pipeline.frf, work.tell, work.jobs),)
-    except LabpipeError as error:
-        error.where = error.where or f"{pipeline.path}: study"
-        raise
 
 
 _STUDIED = re.compile(r"^(?P<fit>[^.\[\]]+)(?:\[(?P<noise>[^\]]*)\])?\.(?P<item>\w+)$")

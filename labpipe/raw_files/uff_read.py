@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import DataError
+from labpipe.errors import DataError, located
 from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
 from labpipe.raw_files import uff
 from labpipe.raw_files.frf_csv import checked_coherence, cube
@@ -55,7 +55,7 @@ def read_frf_uff(
     """
     records = uff.read_uff(path)
     frfs = [record for record in records if record.function == uff.FRF]
-    try:
+    with located(path):
         if not frfs:
             hint = "time records belong under recordings: in a pipeline"
             raise DataError("holds no FRF records", hint=hint)
@@ -64,9 +64,6 @@ def read_frf_uff(
             factors = [_stated_factor(record, *stated) if stated else frf_factor(record) for record in frfs]
             coherences = [record for record in records if record.function == uff.COHERENCE]
             return _response(buffer, frfs, coherences, form, factors, name, numbered)
-    except DataError as error:
-        error.where = error.where or str(path)
-        raise
 
 
 def _one_form(frfs: Sequence[uff.UffRecord]) -> str:

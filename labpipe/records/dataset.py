@@ -116,10 +116,8 @@ def noise_covariance(fit: identification.Fit) -> dict[str, FloatArray]:
     """Rows of the covariance by noise, r_ij s_i s_j, of the estimated parameters by their names: (n,) [units
     of both]; none without.
     """
-    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
-    errors = np.array(
-        [np.nan if parameter.std_error is None else parameter.std_error for parameter in estimated]
-    )
+    estimated = fit.estimated
+    errors = np.array([parameter.std_error for parameter in estimated], np.float64)
     if fit.correlation.shape != (len(estimated), len(estimated)):
         return {}
     covariance = fit.correlation * np.outer(errors, errors)

@@ -8,20 +8,17 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError, parse_unit, unit_of
 from labpipe.records.response import FORMS
-from labpipe.records.settings import Settings, section, setting, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 
 
 @dataclass(frozen=True)
 class WindowedSettings(Settings):
     """Windows that hits, or the FRFs of hits, have already."""
 
-    exponential: float = setting(
-        "value", "time constant of the exponential window that an analyser applied", unit="s"
-    )
+    exponential: float = quantity("time constant of the exponential window that an analyser applied", "s")
 
     def __post_init__(self) -> None:
-        if self.exponential <= 0:
-            raise ConfigError("'exponential' must be positive")
+        self.require_positive("exponential")
 
 
 # Windows of analysers by name.
@@ -125,11 +122,10 @@ class FrfLayout(Settings):
     axes: tuple[str, ...] = setting(
         "names", "order of the dimensions of 'matrix'; default: found by their lengths", default=()
     )
-    form: str = setting(
-        "choice",
+    form: str = choice(
         "what is divided by the force, or transmissibility; default: as the unit says",
-        choices=(*MECHANICAL, NAMED),
-        default="",
+        (*MECHANICAL, NAMED),
+        "",
     )
     unit: str = text("unit of the numbers, for example g/N; default: SI")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
@@ -142,20 +138,16 @@ class FrfLayout(Settings):
         "averages behind an H1, independent but for `overlap`: with its coherence they give the noise",
         default=0,
     )
-    window: str = setting(
-        "choice",
-        "window of the analyser's blocks, through which neighbouring lines share noise",
-        choices=WINDOWS,
-        default="",
+    window: str = choice(
+        "window of the analyser's blocks, through which neighbouring lines share noise", WINDOWS, ""
     )
-    excitation: str = setting(
-        "choice",
+    excitation: str = choice(
         "random: every block has another force, so that an H1 holds what leaks through the window; default: "
         "the same force",
-        choices=("random",),
-        default="",
+        ("random",),
+        "",
     )
-    overlap: float = setting("value", "overlap of neighbouring blocks of random data", unit="1", default=0.0)
+    overlap: float = quantity("overlap of neighbouring blocks of random data", "1", 0.0)
     windowed: WindowedSettings | None = section(
         "window of the hits behind the FRF: its damping is taken out", WindowedSettings, None
     )

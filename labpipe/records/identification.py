@@ -220,6 +220,11 @@ class Fit:
         return next((detail for detail in self.details if isinstance(detail, kind)), None)
 
     @property
+    def estimated(self) -> tuple[Parameter, ...]:
+        """The parameters of the fit itself, without those that follow from them."""
+        return tuple(parameter for parameter in self.parameters if not parameter.derived)
+
+    @property
     def centre_hz(self) -> float:
         return (self.band_hz[0] + self.band_hz[1]) / 2
 

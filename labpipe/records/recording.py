@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from labpipe.arrays import FloatArray, frozen_array
+from labpipe.arrays import FloatArray, freeze
 from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding
@@ -147,9 +147,7 @@ class Recording:
         if not self.sample_rate > 0:
             raise DataError(f"recording '{self.name}' has the sample rate {self.sample_rate} Hz")
         shape = (np.shape(self.samples)[0] if np.ndim(self.samples) else 0, len(names))
-        object.__setattr__(
-            self, "samples", frozen_array(self.samples, np.float64, f"recording '{self.name}'", shape)
-        )
+        freeze(self, "samples", np.float64, shape, f"recording '{self.name}'")
 
     def __repr__(self) -> str:
         return recording_line(self)
@@ -199,7 +197,7 @@ class Spectrum:
     def __post_init__(self) -> None:
         n = len(self.frequency)
         for name in ("frequency", "density"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, (n,)))
+            freeze(self, name, np.float64, (n,))
 
 
 @dataclass(frozen=True)

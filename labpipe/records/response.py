@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen_array
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, freeze
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.text import VIEWS, response_line
@@ -32,8 +32,7 @@ class FactoredCovariance:
     def __post_init__(self) -> None:
         n_line, n_output, n_input = self.outputs.shape[0], self.outputs.shape[-1], self.inputs.shape[-1]
         for name, n in (("outputs", n_output), ("inputs", n_input)):
-            factor, what = getattr(self, name), f"covariance of the {name}"
-            object.__setattr__(self, name, frozen_array(factor, np.complex128, what, (n_line, n, n)))
+            freeze(self, name, np.complex128, (n_line, n, n), f"covariance of the {name}")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -88,8 +87,7 @@ class BlockCovariance:
     def __post_init__(self) -> None:
         n_block, m = self.elements.shape
         shape = (len(self.blocks), n_block, m, m)
-        frozen = frozen_array(self.blocks, np.complex128, "covariance of the columns", shape)
-        object.__setattr__(self, "blocks", frozen)
+        freeze(self, "blocks", np.complex128, shape, "covariance of the columns")
 
     @classmethod
     def uncorrelated(cls, variance: FloatArray) -> BlockCovariance:
@@ -320,8 +318,8 @@ class FrequencyResponse:
     def __post_init__(self) -> None:
         n_f, n_o, n_i = np.size(self.frequency), len(self.outputs), len(self.inputs)
         n = n_o * n_i
-        frequency = frozen_array(self.frequency, np.float64, "frequency", (n_f,))
-        if n_f > 1 and np.any(np.diff(frequency) <= 0):
+        freeze(self, "frequency", np.float64, (n_f,))
+        if n_f > 1 and np.any(np.diff(self.frequency) <= 0):
             raise DataError(f"the frequencies of '{self.name}' do not increase")
         if self.form not in FORMS:
             raise DataError(f"unknown form '{self.form}'", hint=f"known: {', '.join(FORMS)}")
@@ -329,10 +327,8 @@ class FrequencyResponse:
             labels = [port.label for port in ports]
             if len(set(labels)) != len(labels):
                 raise DataError(f"two rows or columns of '{self.name}' have one label: {', '.join(labels)}")
-        object.__setattr__(self, "frequency", frequency)
         whole, n_gain = (n_f, n_o, n_i), 1 if self.line_gains is None else np.shape(self.line_gains)[1]
-        matrix = frozen_array(self.matrix, np.complex128, "FRF matrix", whole)
-        object.__setattr__(self, "matrix", matrix)
+        freeze(self, "matrix", np.complex128, whole, "FRF matrix")
         shapes = {
             "covariance": (np.complex128, (n_f, n, n)),
             "coherence": (np.float64, whole),
@@ -353,15 +349,11 @@ class FrequencyResponse:
                     f"{error.change.shape}"
                 )
         for attribute, (dtype, shape) in shapes.items():
-            self._freeze(attribute, dtype, shape)
-
-    def _freeze(self, attribute: str, dtype: Any, shape: tuple[int, ...]) -> None:
-        values = self.__dict__[attribute]
-        if isinstance(values, FactoredCovariance | BlockCovariance):
-            if values.shape != shape:
+            values = self.__dict__[attribute]
+            if not isinstance(values, FactoredCovariance | BlockCovariance):
+                freeze(self, attribute, dtype, shape)
+            elif values.shape != shape:
                 raise DataError(f"covariance has the shape {values.shape}, {shape} is needed")
-        elif values is not None:
-            object.__setattr__(self, attribute, frozen_array(values, dtype, attribute, shape))
 
     def __repr__(self) -> str:
         return response_line(self)

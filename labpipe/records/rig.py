@@ -113,8 +113,7 @@ class RecordedCondition(Settings):
         if bool(self.channel) == bool(self.tacho):
             what = "one of 'channel' and 'tacho' is needed"
             raise ConfigError(what, hint="channel: load_cell, or tacho: key")
-        if self.pulses < 1:
-            raise ConfigError("'pulses' must be at least 1")
+        self.require_positive("pulses")
 
 
 AXES = "xyz"

@@ -18,7 +18,7 @@ from numbers import Complex, Integral, Real
 from pathlib import Path
 from typing import Any
 
-from labpipe.errors import SettingError
+from labpipe.errors import SettingError, cut
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
@@ -59,7 +59,7 @@ def _roots(entry: Any) -> tuple[complex, ...]:
     text = "".join(str(entry).replace("±", "+-").replace("rad/s", "").split())
     match = _ROOT.match(text)
     if match is None or not text:
-        raise UnitError(f"'{str(entry)[:80]}' is not a root", EXAMPLE)
+        raise UnitError(f"'{cut(str(entry))}' is not a root", EXAMPLE)
     real = float(match["real"] or 0.0)
     if text[-1] not in "ij":
         return (complex(real),)
@@ -75,7 +75,6 @@ def _roots(entry: Any) -> tuple[complex, ...]:
 # The unit of a coefficient by the first letter of its name.
 COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
 ESTIMATE = "estimate"
-LONGEST_ECHO = 80
 # No count of a test rig comes near it.
 LARGEST_INTEGER = 10**9
 _VALUE = r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
@@ -189,7 +188,7 @@ def to_choice(value: Any, setting: Setting) -> str:
     if text not in setting.choices:
         hint = nearest(text, setting.choices)
         raise UnitError(
-            f"unknown choice '{shorten(text)}'",
+            f"unknown choice '{cut(text)}'",
             hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})",
         )
     return text
@@ -400,18 +399,7 @@ def _pairs(value: Any, of: str, example: str = "", shown: str = "") -> list[tupl
 def _text_of(value: Any) -> str:
     if value is None:
         return "(nothing)"
-    return (
-        "(a mapping)"
-        if isinstance(value, Mapping)
-        else "(a list)"
-        if _is_list(value)
-        else shorten(str(value))
-    )
-
-
-def shorten(text: str) -> str:
-    """Text of a file as a message repeats it: the first LONGEST_ECHO characters."""
-    return text if len(text) <= LONGEST_ECHO else f"{text[:LONGEST_ECHO]}..."
+    return "(a mapping)" if isinstance(value, Mapping) else "(a list)" if _is_list(value) else cut(str(value))
 
 
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]
@@ -456,6 +444,15 @@ class Settings:
         for name in names:
             if any(number < 0 for number in self._numbers(name)):
                 raise SettingError(name, f"{name} must not be negative")
+
+    def require_share(self, *names: str, or_none: bool = False) -> None:
+        """ConfigError for the first of the entries that is no share of a whole: above zero, or zero too if it
+        may be *or_none*, and below one.
+        """
+        for name in names:
+            if not all(0 < number < 1 or (or_none and number == 0) for number in self._numbers(name)):
+                what = "be at least 0 and below 100 %" if or_none else "lie between 0 and 100 %"
+                raise SettingError(name, f"{name} must {what}")
 
     def _numbers(self, name: str) -> tuple[float, ...]:
         """The numbers of an entry, none where it is not given."""
@@ -529,9 +526,14 @@ def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
     return setting("value", help, unit=unit, default=default)
 
 
-def text(help: str) -> Any:
+def text(help: str, default: str | None = "") -> Any:
     """A dataclass field of a text, empty by default: a setting of the kind text."""
-    return setting("text", help, default="")
+    return setting("text", help, default=default)
+
+
+def choice(help: str, choices: tuple[str, ...], default: Any = MISSING) -> Any:
+    """A dataclass field of one of the *choices*: a setting of the kind choice."""
+    return setting("choice", help, choices=choices, default=default)
 
 
 def section(help: str, owner: type, default: Any = MISSING) -> Any:

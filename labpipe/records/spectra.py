@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, frozen_array
+from labpipe.arrays import ComplexArray, FloatArray, freeze
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel
@@ -35,11 +35,7 @@ class UncertainFactor:
 
     def __post_init__(self) -> None:
         n = len(self.derivative)
-        object.__setattr__(
-            self,
-            "derivative",
-            frozen_array(self.derivative, np.complex128, f"derivative of '{self.name}'", (n, n)),
-        )
+        freeze(self, "derivative", np.complex128, (n, n), f"derivative of '{self.name}'")
         object.__setattr__(self, "source", self.source or f"{self.name}, {self.value:g} {self.unit}")
 
 
@@ -83,18 +79,11 @@ class ChannelSpectra:
 
     def __post_init__(self) -> None:
         n_line, n_run, n = np.size(self.frequency), len(self.runs), len(self.channels)
-        frequency = frozen_array(self.frequency, np.float64, "frequency", (n_line,))
-        if n_line > 1 and np.any(np.diff(frequency) <= 0):
+        freeze(self, "frequency", np.float64, (n_line,))
+        if n_line > 1 and np.any(np.diff(self.frequency) <= 0):
             raise DataError(f"the frequencies of '{self.name}' do not increase")
-        object.__setattr__(self, "frequency", frequency)
-        object.__setattr__(
-            self, "vectors", frozen_array(self.vectors, np.complex128, "vectors", (n_line, n_run, n))
-        )
-        object.__setattr__(
-            self,
-            "covariance",
-            frozen_array(self.covariance, np.complex128, "covariance", (n_line, n_run, n, n)),
-        )
+        freeze(self, "vectors", np.complex128, (n_line, n_run, n))
+        freeze(self, "covariance", np.complex128, (n_line, n_run, n, n))
 
     def columns(self, quantity: str, role: str = "") -> list[int]:
         """Numbers of the channels of a quantity, of one role if it is given."""
@@ -119,10 +108,7 @@ class FreeDecay:
     samples: FloatArray
 
     def __post_init__(self) -> None:
-        samples = np.atleast_2d(self.samples)
-        object.__setattr__(
-            self, "samples", frozen_array(samples, np.float64, f"decay of '{self.recording}'", samples.shape)
-        )
+        freeze(self, "samples", np.float64, np.shape(self.samples), f"decay of '{self.recording}'")
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ def fit_text(fit: Fit) -> str:
 
 
 def _correlation_lines(fit: Fit) -> list[str]:
-    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    names = [parameter.name for parameter in fit.estimated]
     n = min(len(names), fit.correlation.shape[0])
     pairs = [(float(fit.correlation[i, j]), names[i], names[j]) for i in range(n) for j in range(i)]
     large = sorted((pair for pair in pairs if abs(pair[0]) > 0.5), key=lambda pair: -abs(pair[0]))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, frozen_array
+from labpipe.arrays import ComplexArray, FloatArray, freeze
 from labpipe.quantities import UnitError, parse_value, written_unit
 from labpipe.registry import nearest
 
@@ -171,8 +171,7 @@ class MatrixError:
 
     def __post_init__(self) -> None:
         what = f"change by {self.uncertainty.source}"
-        change = frozen_array(self.change, np.complex128, what, np.shape(self.change))
-        object.__setattr__(self, "change", change)
+        freeze(self, "change", np.complex128, np.shape(self.change), what)
 
 
 def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:

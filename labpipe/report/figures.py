@@ -109,7 +109,7 @@ def _residual(fitted: FittedCurve, o: int, i: int, name: str, colour: int, entry
 
 def correlation_figure(fit: Fit) -> Figure:
     """Heat map of the correlation between the estimated parameters."""
-    names = [parameter.name for parameter in fit.parameters if not parameter.derived][: len(fit.correlation)]
+    names = [parameter.name for parameter in fit.estimated][: len(fit.correlation)]
     texts = [[f"{value:.2f}" for value in row] for row in fit.correlation.tolist()]
     side = max(LEAST_SIDE, 0.42 * len(names) + 1.2)
     axis = chart.Axis(ticks=chart.named_ticks(names))
@@ -124,7 +124,7 @@ def correlation_figure(fit: Fit) -> Figure:
 
 def sliding_units(fits: Sequence[Fit]) -> dict[str, str]:
     """The units of the coefficients of sliding fits that have a meaning, of which bands may lack some."""
-    every = (parameter for fit in fits for parameter in fit.parameters if not parameter.derived)
+    every = (parameter for fit in fits for parameter in fit.estimated)
     return {parameter.name: parameter.unit for parameter in every if meaning(parameter)}
 
 

@@ -123,7 +123,7 @@ def fit_figures(fit: Fit) -> list[Figure]:
         shown += matrix_figures(fit, fit.curve) if many else [figures.fitted_curve_figure(fit, fit.curve)]
         if fit.curve.before is not None:
             shown.append(figures.tuning_figure(fit, fit.curve))
-    repeated = [p for p in fit.parameters if p.repeats is not None and not p.derived]
+    repeated = [p for p in fit.estimated if p.repeats is not None]
     if repeated:
         shown.append(figures.repeats_figure(fit, repeated))
     if _is_mapped(fit) and any(p.std_error is not None for p in fit.parameters):
@@ -169,7 +169,7 @@ def _correlation_of_few(fit: Fit) -> tuple[Block, ...]:
     n = fit.correlation.shape[0]
     if n < 2 or _is_mapped(fit) or all(parameter.std_error is None for parameter in fit.parameters):
         return ()
-    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    names = [parameter.name for parameter in fit.estimated]
     pairs = [(i, j) for i in range(n) for j in range(i + 1, n)]
     pairs.sort(key=lambda pair: -abs(fit.correlation[pair]))
     text = ", ".join(f"{names[i]} and {names[j]}: {fit.correlation[i, j]:.3g}" for i, j in pairs[:MOST_PAIRS])

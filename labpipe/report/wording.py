@@ -126,7 +126,7 @@ def entangled_text(fit: Fit) -> list[str]:
         listed = ", ".join(f"{name} ({vif:.3g} times)" for name, vif in large)
         what = "the variance is many times what it would be by itself"
         sentences.append(f"Large variance inflation (VIF): {what} for {listed}.")
-    names = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    names = [parameter.name for parameter in fit.estimated]
     n = min(len(names), fit.correlation.shape[0])
     pairs = [(names[i], names[j], float(fit.correlation[i, j])) for j in range(n) for i in range(j)]
     close = [f"{first} and {second} ({value:+.4f})" for first, second, value in pairs if abs(value) >= CLOSE]

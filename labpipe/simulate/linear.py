@@ -21,7 +21,7 @@ from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, uncorrelated
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate import virtual_rigs
 
 # A free decay is followed until this share of it is left.
@@ -191,12 +191,12 @@ class BaseRig(OneMass):
     from rest in the third.
     """
 
-    kind: str = setting("choice", "which virtual rig", choices=("virtual-base-rig",))
+    kind: str = choice("which virtual rig", ("virtual-base-rig",))
     mass: float = quantity("mass that moves", "kg")
     stiffness: float = quantity("stiffness between table and mass", "N/m")
     damping: float = quantity("damping between table and mass", "N.s/m")
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual mass on a shaking table")
+    name: str = text("name of the rig", "Virtual mass on a shaking table")
     acceleration: float = quantity("rms acceleration of the table", "m/s^2", 5.0)
     band: tuple[float, float] = setting(
         "band", "band in which the table shakes", unit="Hz", default=(10.0, 100.0)
@@ -216,12 +216,12 @@ class BaseRig(OneMass):
 class SweepRig(OneMass):
     """m y'' + c y' + k y = f from rest; f a sweep with constant amplitude, then a pause."""
 
-    kind: str = setting("choice", "which virtual rig", choices=("virtual-sweep-rig",))
+    kind: str = choice("which virtual rig", ("virtual-sweep-rig",))
     mass: float = quantity("mass that moves", "kg")
     stiffness: float = quantity("stiffness of its support", "N/m")
     damping: float = quantity("damping of its support", "N.s/m")
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual mass under swept sines")
+    name: str = text("name of the rig", "Virtual mass under swept sines")
     band: tuple[float, float] = setting("band", "band that is swept", unit="Hz", default=(20.0, 80.0))
     force: float = quantity("rms force while a sweep runs", "N", 5.0)
     duration: float = quantity("length of the linear sweep; the others take half as long", "s", 24.0)
@@ -311,12 +311,12 @@ class WhiteNoiseRig(Settings):
     Machado's.
     """
 
-    kind: str = setting("choice", "which virtual rig", choices=("virtual-white-noise-rig",))
+    kind: str = choice("which virtual rig", ("virtual-white-noise-rig",))
     stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K (x, y)", unit="N/m")
     damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C (x, y)", unit="N.s/m")
     mass: float = quantity("mass that moves with the rotor", "kg")
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual rotor under white noise")
+    name: str = text("name of the rig", "Virtual rotor under white noise")
     force: float = quantity("rms force of the shaker", "N", 30.0)
     bandwidth: float = quantity("the force is white up to here", "Hz", 400.0)
     sample_rate: float = quantity("sampling rate", "Hz", 1024.0)
@@ -405,7 +405,7 @@ class Lines(Settings):
 class VirtualMdofRig(Settings):
     """M q'' + C q' + K q = f on dofs 1, 2, ..., a force and a response on each."""
 
-    kind: str = setting("choice", "which virtual rig", choices=("virtual-mdof-rig",))
+    kind: str = choice("which virtual rig", ("virtual-mdof-rig",))
     stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K", unit="N/m")
     damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C", unit="N.s/m")
     mass: tuple[float, ...] | tuple[tuple[float, ...], ...] = setting(
@@ -415,7 +415,7 @@ class VirtualMdofRig(Settings):
     noise: float = quantity(
         "standard deviation on the real and on the imaginary part, as a share of the largest |H|", "1"
     )
-    name: str = setting("text", "name of the rig", default="Virtual rig of masses, springs and dampers")
+    name: str = text("name of the rig", "Virtual rig of masses, springs and dampers")
 
     def __post_init__(self) -> None:
         n = len(self.stiffness)

@@ -205,20 +205,27 @@ def recordings(rig: VirtualRig, seed: int, runs: Iterable[str] | None = None) ->
     return tuple(kind.recordings(rig, seed, chosen_runs(rig, runs)))
 
 
+def kind_of_responses(rig: VirtualRig, frf: FrfSettings | None) -> VirtualRigKind:
+    """The kind of a rig that gives a response, if need be by *frf*; ConfigError for another."""
+    kind = kind_of(rig)
+    if kind.response is None and kind.recordings is None:
+        what = f"a {rig.kind} gives no frequency response"
+        raise ConfigError(what, hint="studies repeat fits of frequency responses")
+    if kind.response is None and frf is None:
+        raise ConfigError("the study needs the frf: section to measure this rig's recordings")
+    return kind
+
+
 def simulated_response(
     rig: VirtualRig, seeds: Sequence[int], runs: Iterable[str] | None = None, frf: FrfSettings | None = None
 ) -> FrequencyResponse | ChannelSpectra:
     """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf*
     says; or spectra. ConfigError for a rig that has none.
     """
-    kind = kind_of(rig)
+    kind = kind_of_responses(rig, frf)
     if kind.response is not None:
         return kind.response(rig, seeds)
-    if kind.recordings is None:
-        hint = "studies repeat fits of frequency responses"
-        raise ConfigError(f"a {rig.kind} gives no frequency response", hint=hint)
-    if frf is None:
-        raise ConfigError("the study needs the frf: section to measure this rig's recordings")
+    assert frf is not None
     # Different for different rows of up to a million repeats.
     seed = functools.reduce(lambda joined, part: joined * 1_000_003 + part, seeds, 0)
     made = list(recordings(rig, seed, runs))

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from scipy import fft
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
@@ -119,7 +118,7 @@ def _levels(samples: FloatArray, name: str) -> _Levels:
         raise DataError(f"recording '{name}' does not move", hint="check the channels of the rig file")
     scaled = centred[:, moving] / deviation[moving]
     # Of the strongest line of the velocity: a drift or a step is not an oscillation.
-    spectrum = np.sum(np.abs(fft.rfft(scaled, axis=0)) ** 2, axis=1)
+    spectrum = np.sum(np.abs(scipy.fft.rfft(scaled, axis=0)) ** 2, axis=1)
     strongest = int(np.argmax(np.arange(spectrum.size) ** 2 * spectrum))
     period = max(2, round(len(scaled) / max(strongest, 1)))
     swinging = _swinging(scaled, STEADY_PERIODS * period)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import DataError
@@ -178,7 +177,7 @@ def noise_power(hit: Hit, force: int, lines: slice) -> FloatArray:
     rest = hit.samples[(n_sample + hit.trigger) // 2 :, force]
     at = np.arange(lines.start, lines.stop) * rest.size // n_sample
     window = np.hanning(rest.size)
-    return np.asarray(np.abs(fft.rfft(window * (rest - np.mean(rest)))[at]) ** 2 / np.sum(window**2))
+    return np.asarray(np.abs(scipy.fft.rfft(window * (rest - np.mean(rest)))[at]) ** 2 / np.sum(window**2))
 
 
 def check_single_force(source: SampleSource) -> int:
@@ -462,7 +461,7 @@ class _HitAverage:
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
         self._note_slow(samples, hit)
-        amplitude = fft.rfft(samples, axis=0)[self._lines]
+        amplitude = scipy.fft.rfft(samples, axis=0)[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self.n_hit += 1
         power = noise_power(hit, self.force, self._lines)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
-from labpipe.records.settings import Settings, section, setting
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 
 EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.
@@ -41,144 +41,103 @@ LOCALS = ("none", "polynomial")
 class ShaftLines(Settings):
     """Lines of a rotating shaft: its speed or its tacho channel, and the number of harmonics."""
 
-    speed: float | None = setting("value", "shaft speed, e.g. 50 Hz or 3000 rpm", unit="Hz", default=None)
-    tacho: str | None = setting("text", "channel with the tacho pulses, instead of a speed", default=None)
+    speed: float | None = quantity("shaft speed, e.g. 50 Hz or 3000 rpm", "Hz", None)
+    tacho: str | None = text("channel with the tacho pulses, instead of a speed", None)
     pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
     harmonics: int = setting("integer", "multiples of the speed that count, from 1x", default=1)
 
     def __post_init__(self) -> None:
         if (self.speed is None) == (self.tacho is None):
             raise ConfigError("one of 'speed' and 'tacho' is needed", hint="speed: 50 Hz, or tacho: CHANNEL")
-        if self.speed is not None and self.speed <= 0:
-            raise ConfigError("'speed' must be positive")
+        self.require_positive("speed", "pulses", "harmonics")
         if self.speed is not None and self.pulses != 1:
             raise ConfigError("'pulses' belong to a tacho", hint="leave them out beside 'speed'")
-        for count in ("pulses", "harmonics"):
-            if getattr(self, count) < 1:
-                raise ConfigError(f"'{count}' must be at least 1")
 
 
 @dataclass(frozen=True)
 class MaskSettings(ShaftLines):
     """Lines excluded from the response: the shaft speed and its harmonics."""
 
-    width: float | None = setting(
-        "value", "left out to either side; default: 2 lines (random) or half a line", unit="Hz", default=None
+    width: float | None = quantity(
+        "left out to either side; default: 2 lines (random) or half a line", "Hz", None
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.width is not None and self.width < 0:
-            raise ConfigError("'width' must not be negative")
+        self.require_not_negative("width")
 
 
 @dataclass(frozen=True)
 class ImpactSettings(Settings):
     """Detection, windows and acceptance of hammer hits; levels as shares of the hit's peak."""
 
-    trigger: float = setting(
-        "value", "a hit begins where the force exceeds this share of the largest hit", unit="1", default=0.1
+    trigger: float = quantity("a hit begins where the force exceeds this share of the largest hit", "1", 0.1)
+    pretrigger: float = quantity("share of the block that lies before the hit", "1", 0.02)
+    force_window: float | None = quantity(
+        "length of the force window from the hit on; default: none", "s", None
     )
-    pretrigger: float = setting(
-        "value", "share of the block that lies before the hit", unit="1", default=0.02
-    )
-    force_window: float | None = setting(
-        "value", "length of the force window from the hit on; default: none", unit="s", default=None
-    )
-    decay: float | None = setting(
-        "value", "time constant of the exponential window; default: none", unit="s", default=None
-    )
-    double_hit: float = setting(
-        "value", "a second push above this share of the peak is a double hit", unit="1", default=0.1
-    )
+    decay: float | None = quantity("time constant of the exponential window; default: none", "s", None)
+    double_hit: float = quantity("a second push above this share of the peak is a double hit", "1", 0.1)
     reject: tuple[int, ...] = setting(
         "names", "numbers of hits that are left out, counted from 1", default=()
     )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reject", tuple(_hit_number(number) for number in self.reject))
-        for share in ("trigger", "double_hit"):
-            if not 0 < getattr(self, share) < 1:
-                raise ConfigError(f"'{share}' must lie between 0 and 100 %")
-        if not 0 <= self.pretrigger < 1:
-            raise ConfigError("'pretrigger' must be at least 0 and below 100 %")
-        for length in ("force_window", "decay"):
-            if getattr(self, length) is not None and getattr(self, length) <= 0:
-                raise ConfigError(f"'{length}' must be positive")
+        self.require_share("trigger", "double_hit")
+        self.require_share("pretrigger", or_none=True)
+        self.require_positive("force_window", "decay")
 
 
 @dataclass(frozen=True)
 class FreeDecaySettings(Settings):
     """Where the free decays of a recording begin and end; times from its first sample on."""
 
-    start: float | None = setting(
-        "value", "where the decay begins; default: after every hit or release", unit="s", default=None
+    start: float | None = quantity("where the decay begins; default: after every hit or release", "s", None)
+    end: float | None = quantity("where it ends; default: at the next hit, or in the noise", "s", None)
+    settle: float | None = quantity(
+        "left out after the largest value of every decay; default: one period", "s", None
     )
-    end: float | None = setting(
-        "value", "where it ends; default: at the next hit, or in the noise", unit="s", default=None
-    )
-    settle: float | None = setting(
-        "value",
-        "left out after the largest value of every decay; default: one period",
-        unit="s",
-        default=None,
-    )
-    trigger: float = setting(
-        "value", "a hit counts where the response exceeds this share of its largest", unit="1", default=0.1
-    )
+    trigger: float = quantity("a hit counts where the response exceeds this share of its largest", "1", 0.1)
 
     def __post_init__(self) -> None:
-        for name in ("start", "end", "settle"):
-            value = getattr(self, name)
-            if value is not None and value < 0:
-                raise SettingError(name, f"'{name}' must not be negative")
+        self.require_not_negative("start", "end", "settle")
         if self.end is not None and self.end <= (self.start or 0.0):
             raise SettingError("end", "'end' must come after 'start'")
         for name in ("settle", "trigger") if self.start is not None else ():
             if name in self.written:
                 what = f"'{name}' is for decays that are looked for, 'start' says where they begin"
                 raise SettingError(name, what, "leave one of them out")
-        if not 0 < self.trigger < 1:
-            raise SettingError("trigger", "'trigger' must lie between 0 and 100 %")
+        self.require_share("trigger")
 
 
 @dataclass(frozen=True)
 class FrfSettings(Settings):
     """How recordings become a frequency response; times in s, frequencies in Hz."""
 
-    excitation: str = setting("choice", "kind of excitation", choices=EXCITATIONS)
+    excitation: str = choice("kind of excitation", EXCITATIONS)
     _: KW_ONLY
-    period: float | None = setting(
-        "value", "length of one period of a periodic excitation", unit="s", default=None
-    )
+    period: float | None = quantity("length of one period of a periodic excitation", "s", None)
     skip: int = setting(
         "integer",
         "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)",
         default=1,
     )
-    settle: float | None = setting(
-        "value",
-        "time dropped after each step (stepped-sine); default: until the transient is in the noise",
-        unit="s",
-        default=None,
+    settle: float | None = quantity(
+        "time dropped after each step (stepped-sine); default: until the transient is in the noise", "s", None
     )
     smooth: int = setting(
         "integer", "noise is averaged over this many lines to either side (periodic)", default=5
     )
-    block: float | None = setting("value", "length of one block (random, impact)", unit="s", default=None)
-    window: str = setting(
-        "text", "window of random data: any name of scipy.signal.get_window", default="hann"
-    )
-    overlap: float = setting("value", "overlap of neighbouring blocks (random)", unit="1", default=0.5)
-    detrend: str = setting(
-        "choice", "trend taken out of every block (random)", choices=DETRENDS, default="constant"
-    )
-    estimator: str = setting("choice", "estimator of random data and hits", choices=ESTIMATORS, default="H1")
-    local: str = setting(
-        "choice",
+    block: float | None = quantity("length of one block (random, impact)", "s", None)
+    window: str = text("window of random data: any name of scipy.signal.get_window", "hann")
+    overlap: float = quantity("overlap of neighbouring blocks (random)", "1", 0.5)
+    detrend: str = choice("trend taken out of every block (random)", DETRENDS, "constant")
+    estimator: str = choice("estimator of random data and hits", ESTIMATORS, "H1")
+    local: str = choice(
         "FRF and leakage as polynomials over neighbouring lines, in place of a window (random)",
-        choices=LOCALS,
-        default="none",
+        LOCALS,
+        "none",
     )
     degree: int = setting("integer", "degree of the local polynomials (local, sweep)", default=2)
     half_width: int | None = setting(
@@ -200,11 +159,10 @@ class FrfSettings(Settings):
         "window that hits have already: its damping is taken out", WindowedSettings, None
     )
     decay: FreeDecaySettings = section("free decays: start and end", FreeDecaySettings, FreeDecaySettings())
-    result: str = setting(
-        "choice",
+    result: str = choice(
         "one response matrix, or the spectra of all channels side by side with their noise",
-        choices=RESULTS,
-        default="response",
+        RESULTS,
+        "response",
     )
     reference: tuple[str, ...] = setting(
         "names",
@@ -219,16 +177,14 @@ class FrfSettings(Settings):
     def __post_init__(self) -> None:
         self._check_length()
         self._check_keys()
-        if not 0 <= self.overlap < 1:
-            raise ConfigError("'overlap' must be at least 0 and below 100 %")
+        self.require_share("overlap", or_none=True)
         if self.windowed is not None and self.impact.decay is not None:
             what = "'windowed' and impact.decay are two exponential windows"
             raise SettingError("windowed", what, "leave out impact.decay: the data have their window already")
         self._check_local()
         self._check_result()
         self._check_bands()
-        if self.settle is not None and self.settle < 0:
-            raise SettingError("settle", "'settle' must not be negative")
+        self.require_not_negative("settle")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
             what = f"'mask' needs its 'width' with {self.excitation}"
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
@@ -243,15 +199,10 @@ class FrfSettings(Settings):
             raise SettingError("exclude", what, "leave it out, or mend its unit")
 
     def _check_keys(self) -> None:
-        given = [
-            field.name
-            for field in fields(self)
-            if "setting" in field.metadata and getattr(self, field.name) != field.default
-        ]
         idle: tuple[str, ...] = ()
         if self.excitation == "random":
             idle = OF_POLYNOMIALS if self.local == "none" else OF_AVERAGES
-        for name in given:
+        for name in self.written:
             if name not in ("excitation", *KEYS[self.excitation]):
                 able = ", ".join(excitation for excitation in EXCITATIONS if name in KEYS[excitation])
                 what = f"'{name}' is not for {self.excitation} excitation"
@@ -270,9 +221,8 @@ class FrfSettings(Settings):
         if self.reference and self.excitation != "random":
             what = "'reference' is for random excitation: periodic data need no drives"
             raise SettingError("reference", what, "leave it out")
-        of_matrix = {"directional": False, "realisations": False, "local": "none", "estimator": "H1"}
-        for name, otherwise in of_matrix.items():
-            if getattr(self, name) != otherwise:
+        for name in ("directional", "realisations", "local", "estimator"):
+            if name in self.written:
                 what = f"'{name}' belongs to a response matrix, not to result: spectra"
                 raise SettingError(name, what, "leave it out")
 
@@ -330,12 +280,10 @@ class FrfSettings(Settings):
         needed = NEEDED.get(self.excitation)
         if needed is None:
             return
-        length = getattr(self, needed)
-        if length is None:
+        if getattr(self, needed) is None:
             hint = f"{self.excitation} excitation needs it, e.g. {needed}: 1 s"
             raise ConfigError(f"'{needed}' is missing", hint=hint)
-        if length <= 0:
-            raise ConfigError(f"'{needed}' must be positive")
+        self.require_positive(needed)
 
 
 def _hit_number(text: str | int) -> int:

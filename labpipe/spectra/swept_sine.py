@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 import scipy
-from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import DataError
@@ -187,7 +186,7 @@ def _transforms(swept: _Swept, n_sample: int) -> ComplexArray:
     for block, (start, stop) in zip(blocks, swept.cuts, strict=True):
         part = swept.samples[start : min(stop, start + n_sample)]
         block[: part.shape[0]] = part - part.mean(axis=0)
-    return fft.rfft(blocks, axis=1)[:, 1 : (n_sample + 1) // 2]
+    return scipy.fft.rfft(blocks, axis=1)[:, 1 : (n_sample + 1) // 2]
 
 
 def _at_rest(swept: Sequence[_Swept], layout: Layout, local: LocalNoise, n_sample: int) -> bool:
@@ -445,7 +444,7 @@ def _bursts(
     spectrum = np.zeros((rest.shape[0], n_sample // 2 + 1, rest.shape[2]), np.complex128)
     spectrum[:, lines] = rest
     length = n_sample // PARTS
-    motion = fft.irfft(spectrum, n=n_sample, axis=1)[:, : PARTS * length]
+    motion = scipy.fft.irfft(spectrum, n=n_sample, axis=1)[:, : PARTS * length]
     power = np.sum(motion.reshape(rest.shape[0], PARTS, length, -1) ** 2, axis=2)
     share = power / np.sum(power, axis=1, keepdims=True)
     share[(power < BURST_POWER * np.median(power, axis=1, keepdims=True)) | (excess > MOST_EXCESS)] = 0.0
@@ -481,7 +480,7 @@ def _low_by_noise(blocks: ComplexArray, lines: IntArray, layout: Layout, n_sampl
             u, v = forces[list(pair), :, force]
             cross = np.zeros((2, n_sample), np.complex128)
             cross[:, lines] = u * v.conj(), u * v
-            correlation = n_sample * np.abs(fft.ifft(cross))
+            correlation = n_sample * np.abs(scipy.fft.ifft(cross))
             way, late = np.unravel_index(np.argmax(correlation), correlation.shape)
             # Sweeps of other speeds share no more than a part of their lines at any delay.
             if correlation[way, late] < REPEATED * np.linalg.norm(u) * np.linalg.norm(v):

@@ -85,7 +85,7 @@ def _has_error(fit: Fit, name: str) -> bool:
 
 
 def _parameters(settings: CompareSettings, fit: Fit) -> list[str]:
-    names = [p.name for p in fit.parameters if p.unit in COEFFICIENTS and not p.derived]
+    names = [p.name for p in fit.estimated if p.unit in COEFFICIENTS]
     if settings.parameter == ANY and ANY not in names:
         return names
     if settings.parameter == ANY:

@@ -253,7 +253,7 @@ def _compliance(settings: EquilibriumSettings, fit: Fit) -> _Compliance | None:
     """One fit's (K + k_s I)^-1 u with its errors, d(K^-1 u) = -K^-1 dK K^-1 u. None where a coefficient or an
     error is missing.
     """
-    estimated = [parameter.name for parameter in fit.parameters if not parameter.derived]
+    estimated = [parameter.name for parameter in fit.estimated]
     if not all(name in estimated for name in STIFFNESS):
         return None
     chosen = [fit.parameter(name) for name in STIFFNESS]

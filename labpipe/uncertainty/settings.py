@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
-from labpipe.records.settings import Settings, quantity, section, setting, settings_of, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, settings_of, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
@@ -83,13 +83,6 @@ class EquilibriumSettings(Settings):
         self.require_positive("clearance")
 
 
-def _check_shares(settings: Any) -> None:
-    if not 0 <= settings.tolerance < 1:
-        raise ConfigError("'tolerance' must be at least 0 and below 100 %")
-    if not 0 < settings.level < 1:
-        raise ConfigError("'level' must lie between 0 and 100 %")
-
-
 @dataclass(frozen=True, kw_only=True)
 class MatrixSettings(Settings):
     """One entry under ``matrix:``."""
@@ -123,7 +116,8 @@ class MatrixSettings(Settings):
         if self.path is not None and self.path.load not in self.over:
             what = f"the load '{self.path.load}' of the path is none of 'over'"
             raise ConfigError(what, hint=f"over: {', '.join(self.over)}")
-        _check_shares(self)
+        self.require_share("tolerance", or_none=True)
+        self.require_share("level")
         if self.theory is not None and self.theory.bearing and len(self.theory.entries) != len(self.over):
             what = f"'theory.entries' names one entry for each of {len(self.over)} conditions"
             raise ConfigError(what, hint="for example over: [speed, load] with entries: [speed, load]")
@@ -180,24 +174,22 @@ class CompareSettings(Settings):
     has.
     """
 
-    kind: str = setting("choice", "kind of comparison", choices=tuple(COMPARISONS))
+    kind: str = choice("kind of comparison", tuple(COMPARISONS))
     fit: str = text("fit whose parameter is compared")
     term: str = text("diagonal term of a fit of peaks")
-    parameter: str = setting("text", "parameter that is compared", default="k")
+    parameter: str = text("parameter that is compared", "k")
     over: tuple[str, ...] = setting(
         "names", "condition over which tests are ordered or paired, or two of them", default=()
     )
     tolerance: float = quantity("values closer than this share of the largest are one", "1", 1e-6)
     group: str = text("condition that makes the groups; default: each test is one")
     groups: tuple[str, ...] = setting("names", "the two groups, the second against the first", default=())
-    law: str = setting("choice", "straight line, or power law", choices=LAWS, default="line")
+    law: str = choice("straight line, or power law", LAWS, "line")
     setting_error: float = quantity("relative standard error of setting the condition", "1", 0.0)
     theory: TheorySettings | None = section("theory to compare with", TheorySettings, None)
     estimate: tuple[str, ...] = setting("names", "unknowns of the bearing file, fitted", default=())
-    before: str = setting(
-        "text", "response ahead of the sum at which the excitation is added", default="before"
-    )
-    after: str = setting("text", "response behind that sum", default="after")
+    before: str = text("response ahead of the sum at which the excitation is added", "before")
+    after: str = text("response behind that sum", "after")
     level: float = quantity("level of significance of tests", "1", 0.05)
     name: str = ""
     kind_settings: Any = None
@@ -205,7 +197,8 @@ class CompareSettings(Settings):
     def __post_init__(self) -> None:
         self._check_keys()
         self._check_over()
-        _check_shares(self)
+        self.require_share("tolerance", or_none=True)
+        self.require_share("level")
         self.require_not_negative("setting_error")
         if self.estimate and self.theory is None:
             what = "'estimate' has no loop whose unknowns can be fitted"

@@ -30,7 +30,14 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import listed
-from labpipe.simulate.virtual_rigs import Truth, VirtualRig, chosen_runs, kind_of, simulated_response
+from labpipe.simulate.virtual_rigs import (
+    Truth,
+    VirtualRig,
+    chosen_runs,
+    kind_of,
+    kind_of_responses,
+    simulated_response,
+)
 from labpipe.spectra.bands import lines_in
 from labpipe.spectra.settings import FrfSettings
 
@@ -83,8 +90,8 @@ class StudySettings(Settings):
             raise ConfigError("'lines' needs whole numbers of at least 2")
         if any(len(values) != len(self.noise) for _, values in self.printed):
             raise ConfigError("'printed' needs one value for each noise level")
-        if any(limit <= 0 for limit in self.success) or not 0 < self.share < 1:
-            raise ConfigError("'success' must be above zero, 'share' between 0 and 100 %")
+        self.require_positive("success")
+        self.require_share("share")
 
 
 # Responses of a study from a virtual rig, noise level and seed, and their true parameters.
@@ -146,10 +153,7 @@ def source_of(
     rig: VirtualRig, noise: float, lines: int | None, runs: tuple[str, ...], frf: FrfSettings | None
 ) -> Source:
     """The source of a virtual rig at a noise level; ConfigError for lines or runs that it does not have."""
-    kind = kind_of(rig)
-    if kind.response is None and kind.recordings is None:
-        what = f"a {rig.kind} gives no frequency response"
-        raise ConfigError(what, hint="studies repeat fits of frequency responses")
+    kind = kind_of_responses(rig, frf)
     if lines is not None and kind.with_lines is None:
         raise ConfigError("'lines': the lines of this rig follow from its excitation", hint="leave it out")
     available = kind.runs(rig)
@@ -159,8 +163,6 @@ def source_of(
         raise ConfigError("'runs': is missing", hint=f"known: {', '.join(available)}")
     if available:
         chosen_runs(rig, runs)
-    if kind.response is None and frf is None:
-        raise ConfigError("the study needs the frf: section to measure this rig's recordings")
     noisy: VirtualRig = kind.noisy(rig, noise)
     if lines is not None and kind.with_lines is not None:
         noisy = kind.with_lines(noisy, lines)

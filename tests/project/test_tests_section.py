@@ -343,7 +343,7 @@ def test_a_condition_may_be_recorded(folder: Path) -> None:
     [
         ("{load: {channel: x, puls: 2}}", "conditions.load.puls: unknown key; did you mean 'pulses'?"),
         ("{load: {channel: x, tacho: f}}", "conditions.load: one of 'channel' and 'tacho' is needed"),
-        ("{load: {tacho: f, pulses: 0}}", "'pulses' must be at least 1"),
+        ("{load: {tacho: f, pulses: 0}}", "pulses must be positive"),
     ],
 )
 def test_faults_of_recorded_conditions(folder: Path, entry: str, message: str) -> None:

@@ -175,8 +175,8 @@ def test_recordings_that_do_not_fit_together_are_refused() -> None:
         ({"directional": True}, "'directional' is not for decay excitation"),
         ({"block": "1 s"}, "'block' is not for decay excitation"),
         ({"decay": {"start": "2 s", "end": "1 s"}}, "'end' must come after 'start'"),
-        ({"decay": {"settle": "-1 s"}}, "'settle' must not be negative"),
-        ({"decay": {"trigger": "120 %"}}, "'trigger' must lie between"),
+        ({"decay": {"settle": "-1 s"}}, "settle must not be negative"),
+        ({"decay": {"trigger": "120 %"}}, "trigger must lie between"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )

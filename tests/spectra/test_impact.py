@@ -275,9 +275,9 @@ def test_what_is_no_impact_test_is_refused(rng: np.random.Generator) -> None:
     for wrong, fault in ((("x",), "'x' is not the number"), (("0",), "'0' is not the number")):
         with pytest.raises(ConfigError, match=fault):
             ImpactSettings(reject=wrong)
-    with pytest.raises(ConfigError, match="'decay' must be positive"):
+    with pytest.raises(ConfigError, match="decay must be positive"):
         ImpactSettings(decay=0.0)
-    with pytest.raises(ConfigError, match="'trigger' must lie between"):
+    with pytest.raises(ConfigError, match="trigger must lie between"):
         ImpactSettings(trigger=1.0)
 
 

@@ -77,10 +77,10 @@ def test_hits(tmp_path: Path) -> None:
         ("excitation: random\nblock: 5 s\ndetrend: square\n", "unknown choice 'square'"),
         (
             "excitation: impact\nblock: 1 s\nimpact: {pretrigger: 100 %}\n",
-            "'pretrigger' must be at least 0 and below 100 %",
+            "pretrigger must be at least 0 and below 100 %",
         ),
         ("excitation: impact\nblock: 1 s\nimpact: {reject: [two]}\n", "'two' is not the number of a hit"),
-        ("excitation: impact\nblock: -1 s\n", "'block' must be positive"),
+        ("excitation: impact\nblock: -1 s\n", "block must be positive"),
         (
             "excitation: impact\nblock: 1 s\nband: 1-100 Hz\nexclude: [49-51 kHz]\n",
             "frf.exclude: 'exclude' leaves nothing out of the band of 1 to 100 Hz",

@@ -200,7 +200,7 @@ def test_dwells_too_short_and_steps_without_a_frequency_in_common_are_refused() 
     ("change", "message"),
     [
         ({"excitation": "random", "block": "1 s", "settle": "1 s"}, "'settle' is not for random excitation"),
-        ({"settle": "-1 s"}, "'settle' must not be negative"),
+        ({"settle": "-1 s"}, "settle must not be negative"),
         ({"mask": MaskSettings(speed=50.0)}, "'mask' needs its 'width' with stepped-sine"),
         ({"block": "1 s"}, "'block' is not for stepped-sine"),
     ],

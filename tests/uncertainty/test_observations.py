@@ -89,7 +89,7 @@ def test_missing_fits_parameters_and_errors_are_named() -> None:
         ),
         ({"kind": "repeatability", "fit": "axial"}, "'group' is missing"),
         ({"kind": "ratio", "fit": "axial", "over": "preload"}, "'theory' is missing"),
-        ({"kind": "trend", "fit": "axial", "over": "preload", "level": 1.0}, "'level' must lie"),
+        ({"kind": "trend", "fit": "axial", "over": "preload", "level": 1.0}, "level must lie"),
         (
             {"kind": "trend", "fit": "axial", "over": "preload", "setting_error": -0.1},
             "setting_error must not",

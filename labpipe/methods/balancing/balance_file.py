@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, DataError, SettingError
+from labpipe.errors import ConfigError, SettingError, located
 from labpipe.methods.balancing.influence import (
     Influence,
     Noise,
@@ -294,11 +294,8 @@ def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
 
 def balanced(file: BalanceFile) -> Balanced:
     """Weights, what they leave, what one more run would change; DataError for runs that do not do."""
-    try:
+    with located(file.path):
         knowledge = influence(file.runs, file.noise, file.prior)
-    except DataError as error:
-        error.where = error.where or str(file.path)
-        raise
     weights, masses = _chosen(file, knowledge)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))

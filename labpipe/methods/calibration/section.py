@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.display import chance_text
 from labpipe.distributions import f_tail
-from labpipe.errors import ConfigError, DataError, FitError, LabpipeError, SettingError
+from labpipe.errors import ConfigError, DataError, FitError, SettingError, located
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.statistics import condition_number, correlation, estimated
 from labpipe.quantities import Unit, UnitError, may_agree, parse_unit
@@ -180,11 +180,8 @@ def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:
     """The straight-line fits of all calibrations; LabpipeError names the table."""
     fits: list[Fit] = []
     for settings in calibrations:
-        try:
+        with located(settings.path):
             fits.extend(_fits_of_table(settings))
-        except LabpipeError as error:
-            error.where = error.where or str(settings.path)
-            raise
     return fits
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.display import chance_text, per_cent
+from labpipe.display import per_cent
 from labpipe.estimation.coefficient_error import CoefficientError, Patterns, averaged_error
-from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.diagnostics import MISMATCH_P, excess_text
 from labpipe.estimation.mismatch import FEWEST_LINES, line_alone
 from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, Noise, times
 from labpipe.methods.floating_bearing.settings import Given
@@ -318,10 +318,7 @@ def balance_error(
     if p_value >= MISMATCH_P:
         return BalanceError(covariance)
     factor = float(np.sqrt(reduced))
-    excess = (
-        f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-        f"freedom {reduced:.3g}, {chance_text(p_value)})"
-    )
+    excess = excess_text(reduced, p_value)
     error = averaged_error(misfit)
     if error is None:
         width = f"Standard errors are {factor:.3g} times those of noise alone"

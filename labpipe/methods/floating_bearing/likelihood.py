@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import Minimum, minimise
+from labpipe.estimation.descent import Minimum, SquareSum, minimise
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of
 from labpipe.methods.floating_bearing.forms import FORMS, StiffnessModel
@@ -105,7 +105,7 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
     return replace(state, smoothed=balance.motion - times(of_motion, state.weighted()))
 
 
-class ErrorsInVariables:
+class ErrorsInVariables(SquareSum):
     """V of a model as a sum of squares. Its Jacobian is L^-1 dB/dp u^, which gives the gradient of V exactly,
     2 Re sum (dB u^)^H S^-1 e.
     """
@@ -131,7 +131,7 @@ class ErrorsInVariables:
         )
 
     def residual(self, parameters: FloatArray) -> FloatArray:
-        """L^-1 e as real numbers (n_equation,) [1]."""
+        """L^-1 e as real numbers (n_equation,) [1]. Equation (ds-likelihood)."""
         return real_rows(self.at(parameters).white.reshape(1, -1))[0]
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
@@ -141,12 +141,6 @@ class ErrorsInVariables:
         state, slopes = self.at(parameters), self.model.jacobian(parameters, self.balance.omega)
         moved = state.whiten(times(slopes[:, :, None], state.smoothed))
         return real_rows(-moved.reshape(len(slopes), -1)).T
-
-    def chi2(self, parameters: FloatArray) -> float:
-        """V [1] at *parameters* (n_parameter,). Equation (ds-likelihood)."""
-        white = self.at(parameters).white
-        total = float(np.sum(white.real**2 + white.imag**2))
-        return total if np.isfinite(total) else float("inf")
 
 
 def size_over_noise(power: FloatArray, variance: FloatArray) -> float:

@@ -27,7 +27,7 @@ from labpipe.methods.floating_bearing.stator import ONE_DIRECTION, Stator
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.identification import Fit
-from labpipe.records.settings import Settings, quantity, setting, text
+from labpipe.records.settings import Settings, choice, quantity, setting, text
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 from labpipe.registry import nearest
@@ -346,25 +346,12 @@ COMPARED = ("kc", "kcm", "relaxation", "pad")
 class DynamicStiffnessSettings(Settings):
     """What is identified and what is given; *fitted_baseline*: that of `baseline`, once it is made."""
 
-    form: str | None = setting(
-        "choice",
-        "course over frequency; default: kcm, or with `compare` the best",
-        choices=NAMES,
-        default=None,
-    )
+    form: str | None = choice("course over frequency; default: kcm, or with `compare` the best", NAMES, None)
     _: KW_ONLY
-    symmetry: str = setting(
-        "choice",
-        "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms",
-        choices=SYMMETRIES,
-        default="none",
+    symmetry: str = choice(
+        "none; seal: k_xx = k_yy, k_xy = -k_yx; direct: no cross terms", SYMMETRIES, "none"
     )
-    motion: str = setting(
-        "choice",
-        "that it acts on: against the shaft, or absolute (baseline)",
-        choices=MOTIONS,
-        default="relative",
-    )
+    motion: str = choice("that it acts on: against the shaft, or absolute (baseline)", MOTIONS, "relative")
     stator_mass: Uncertain | None = setting(
         "uncertain", "mass of the stator with its uncertainty; default: `mass`", unit="kg", default=None
     )

@@ -22,7 +22,7 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate.linear import TACHO, check_matrices, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
@@ -73,9 +73,7 @@ class Condition(Settings):
     speed: float = quantity("shaft speed", "Hz", 0.0)
     load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
     pressure: float = quantity("pressure drop or supply pressure, for the record", "Pa", 0.0)
-    film: str = setting(
-        "choice", "K and C as given here, or of the rig's journal bearing", choices=FILMS, default="given"
-    )
+    film: str = choice("K and C as given here, or of the rig's journal bearing", FILMS, "given")
     stiffness: Matrix = setting("matrix", "K of the film (x, y)", unit="N/m", default=NONE)
     damping: Matrix = setting("matrix", "C of the film", unit="N.s/m", default=NONE)
     mass: Matrix = setting("matrix", "virtual mass M of the film", unit="kg", default=NONE)
@@ -112,13 +110,13 @@ class FloatingRig(Settings):
     -y, -plus, -minus, ...
     """
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     stator_mass: float = quantity("mass of the stator with its housing", "kg")
     conditions: tuple[tuple[str, Condition], ...] = setting(
         "sections", "conditions by name", section=Condition, default=(), needed=True
     )
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual floating stator")
+    name: str = text("name of the rig", "Virtual floating stator")
     journal: JournalSettings | None = section(
         "journal bearing between stator and shaft", JournalSettings, None
     )
@@ -138,9 +136,7 @@ class FloatingRig(Settings):
     runout: tuple[float, ...] = setting(
         "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", unit="m", default=()
     )
-    excitation: str = setting(
-        "choice", "recordings that are made unless they are named", choices=tuple(RUNS_OF), default="hadamard"
-    )
+    excitation: str = choice("recordings that are made unless they are named", tuple(RUNS_OF), "hadamard")
     force: float = quantity("rms force of one shaker", "N", 2000.0)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(10.0, 100.0))
     spacing: float = quantity("spacing of the excited lines", "Hz", 1.0)

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingKind, PressureField
 from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import NO_LOAD, JournalBearing, converged_equilibrium
-from labpipe.records.settings import Settings, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, quantity, section, text
 from labpipe.report.chart import WIDTH, Drawing
 from labpipe.report.document import Figure
 
@@ -41,7 +41,7 @@ class Wear(Settings):
 class JournalSettings(Settings):
     """A journal bearing without load and speed, as in a rotor file."""
 
-    kind: str = setting("choice", "which kind of bearing", choices=(JOURNAL,))
+    kind: str = choice("which kind of bearing", (JOURNAL,))
     name: str = text("name of the bearing")
     diameter: float = quantity("diameter of the journal", "m")
     length: float = quantity("length of the bearing", "m")

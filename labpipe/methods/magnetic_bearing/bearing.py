@@ -26,7 +26,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, quantity, section, setting, settings_of, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, settings_of, text
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -137,7 +137,7 @@ class MagneticFile(Settings):
     and magnet is required.
     """
 
-    kind: str = setting("choice", "which kind of bearing", choices=(MAGNETIC,))
+    kind: str = choice("which kind of bearing", (MAGNETIC,))
     name: str = text("name of the bearing")
     mass: float = quantity("mass that this bearing carries, for poles and sensitivity", "kg")
     speed: float | None = quantity("speed of the shaft, in Hz or rpm", "Hz", None)

@@ -13,7 +13,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.derived import reported_fit
-from labpipe.estimation.descent import Minimum, minimise, sum_of_squares
+from labpipe.estimation.descent import Minimum, SquareSum, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
 from labpipe.estimation.measured import Measured, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
@@ -355,7 +355,7 @@ class Block:
         return shown, slopes
 
 
-class _Problem:
+class _Problem(SquareSum):
     def __init__(self, measured: Measured, block: Block) -> None:
         assert measured.covariance is not None
         self.block, self.omega, self.matrix = block, measured.omega, measured.matrix[:, 0, 0]
@@ -374,9 +374,6 @@ class _Problem:
         steps = STEP * np.eye(parameters.size)
         pairs = [(self.residual(parameters + step), self.residual(parameters - step)) for step in steps]
         return np.column_stack([(ahead - behind) / (2 * STEP) for ahead, behind in pairs])
-
-    def chi2(self, parameters: FloatArray) -> float:
-        return sum_of_squares(self.residual, parameters)
 
 
 def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

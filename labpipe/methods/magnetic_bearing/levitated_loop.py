@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -90,7 +90,7 @@ class Injection(Settings):
     """What is added at the controller's output (a current) or input (a displacement), rms of one axis."""
 
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
-    place: str = setting("choice", "where it is added", choices=PLACES, default="output")
+    place: str = choice("where it is added", PLACES, "output")
     per_ampere: float = quantity("displacement added at the input for 1 A", "m/A", 1e-4)
     band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(5.0, 500.0))
     spacing: float = quantity("spacing of the lines of a multisine", "Hz", 1.0)
@@ -116,12 +116,12 @@ class LevitatedNoise(StandardDeviations):
 class LevitatedRig(Settings):
     """A rotor in magnetic bearings under a sampled controller: a mass on one bearing, or a `rotor` on two."""
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     mass: float = quantity("mass of the rotor", "kg")
     control: SampledPid = section("the controller", SampledPid)
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual levitated rotor")
-    axes: str = setting("choice", "directions", choices=tuple(AXES), default="x")
+    name: str = text("name of the rig", "Virtual levitated rotor")
+    axes: str = choice("directions", tuple(AXES), "x")
     rotor: LongRotor | None = section("rotor on two bearings; without it, a mass on one", LongRotor, None)
     force_per_current: float = quantity("k_i of one bearing", "N/A", 80.0)
     negative_stiffness: float = quantity(

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from scipy import fft
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import SettingError
@@ -109,7 +108,7 @@ def _random(
     rig: LevitatedRig, rms: float, shape: tuple[int, int], rng: np.random.Generator, *, straight_lines: bool
 ) -> FloatArray:
     """White in the injection's band; *straight_lines*: what is straight between samples is."""
-    frequency = fft.rfftfreq(shape[0], 1 / rig.control.rate)
+    frequency = scipy.fft.rfftfreq(shape[0], 1 / rig.control.rate)
     inside = (frequency >= rig.injection.band[0]) & (frequency <= rig.injection.band[1])
     if not inside.any():
         raise SettingError("injection", "no line of a whole recording lies in its band", "widen it")
@@ -118,7 +117,7 @@ def _random(
     spectrum[inside] = draws * rms * shape[0] / np.sqrt(4 * draws.shape[0])
     if straight_lines:
         spectrum /= straight(2 * np.pi * frequency, rig.control.rate)[:, None]
-    return fft.irfft(spectrum, shape[0], axis=0)
+    return scipy.fft.irfft(spectrum, shape[0], axis=0)
 
 
 def _runout(rig: LevitatedRig, angle: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import FitError
 from labpipe.estimation.causes import BY_DELAY, LIKELIEST, delay_finding, delays_of_grid, is_late
-from labpipe.estimation.descent import minimise
+from labpipe.estimation.descent import SquareSum, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing import likelihood
 from labpipe.methods.floating_bearing.settings import factor_errors, given_uncertainties, join, response_of
@@ -43,7 +43,7 @@ class Residual:
         return np.linalg.solve(self.lower, errors[..., None])[..., 0]
 
 
-class MagnetLikelihood:
+class MagnetLikelihood(SquareSum):
     """V of a magnet's model as a sum of squares."""
 
     def __init__(self, rotor: Levitation, model: MagnetModel) -> None:
@@ -86,15 +86,6 @@ class MagnetLikelihood:
         return likelihood.real_rows(
             state.whiten(np.einsum("plac,lrc->plra", slopes, state.smoothed)).reshape(len(slopes), -1)
         ).T
-
-    def chi2(self, parameters: FloatArray) -> float:
-        """V [1] at *parameters* (n_parameter,) [parameter units]; infinite where it is not a number."""
-        try:
-            white = self.at(parameters).white
-        except np.linalg.LinAlgError:
-            return float("inf")
-        total = float(np.sum(np.abs(white) ** 2))
-        return total if np.isfinite(total) else float("inf")
 
 
 def residual(rotor: Levitation, rows: ComplexArray) -> Residual:

@@ -23,7 +23,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting, text
+from labpipe.records.settings import Settings, choice, quantity, setting, text
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -45,12 +45,7 @@ class CertificateSettings(Settings):
     output: str = text("response that is the command behind the controller, [V]")
     displacement: str = text("response that is the reading of the probe")
     current: str = text("response that is the current")
-    injection: str = setting(
-        "choice",
-        "where the excitation is added: the controller's side",
-        choices=(INPUT, OUTPUT),
-        default=INPUT,
-    )
+    injection: str = choice("where the excitation is added: the controller's side", (INPUT, OUTPUT), INPUT)
     rate: float | None = quantity(
         "sampling rate of the controller; default: that of discrete blocks", "Hz", None
     )
@@ -60,7 +55,7 @@ class CertificateSettings(Settings):
     log_decrement: float | None = quantity(
         "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none", "1", None
     )
-    zone: str = setting("choice", "worst zone of ISO 14839-3", choices=ZONE_NAMES, default="B")
+    zone: str = choice("worst zone of ISO 14839-3", ZONE_NAMES, "B")
     confidence: float = quantity("probability from which a limit counts as kept, or as broken", "1", 0.95)
 
     def __post_init__(self) -> None:

@@ -12,7 +12,6 @@ from functools import lru_cache
 
 import numpy as np
 import scipy
-from scipy import linalg
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, SettingError
@@ -279,7 +278,7 @@ def integrals(
     n, m = inputs.shape
     joint = np.zeros((n + 2 * m, n + 2 * m))
     joint[:n, :n], joint[:n, n : n + m], joint[n : n + m, n + m :] = slope, inputs, np.eye(m)
-    whole = linalg.expm(joint * time)
+    whole = scipy.linalg.expm(joint * time)
     return whole[:n, :n], whole[:n, n : n + m], whole[:n, n + m :]
 
 

@@ -8,7 +8,7 @@ from labpipe.errors import SettingError
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, choice, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import SPECTRA
@@ -22,11 +22,10 @@ ORDERS = (AUTO, "0", "1", "2", "3")
 class MagnetSettings(Settings):
     """What of K_i and K_s is estimated, what is known of the rotor, and the current between samples."""
 
-    coupling: str = setting(
-        "choice",
+    coupling: str = choice(
         "terms of K_i and K_s: all; those of one bearing; none but direct ones",
-        choices=(BEARING, FULL, DIRECT),
-        default=BEARING,
+        (BEARING, FULL, DIRECT),
+        BEARING,
     )
     _: KW_ONLY
     passive_damping: bool = setting("flag", "estimate the damping at the magnets as well", default=False)
@@ -54,22 +53,17 @@ class MagnetSettings(Settings):
     )
 
     def __post_init__(self) -> None:
-        if not 0 < self.band_confidence < 1:
-            raise SettingError("band_confidence", "'band_confidence' must lie between 0 and 100 %")
-        self.require_positive("hold", "amplifier_bandwidth")
+        self.require_share("band_confidence")
+        self.require_positive("hold", "amplifier_bandwidth", "inertia")
         if self.amplifier_bandwidth is not None and self.hold is None:
             raise SettingError("amplifier_bandwidth", "'amplifier_bandwidth' goes with hold", "hold: 20 kHz")
-        if self.inertia is not None and not self.inertia.value > 0:
-            raise SettingError("inertia", "'inertia' must be above zero")
 
 
 @dataclass(frozen=True)
 class BlockSettings(Settings):
     """The order of the low-pass: of one real pole (1), a pair (2), both (3)."""
 
-    order: str = setting(
-        "choice", "order of the low-pass; auto: the one of the least BIC", choices=ORDERS, default=AUTO
-    )
+    order: str = choice("order of the low-pass; auto: the one of the least BIC", ORDERS, AUTO)
 
 
 def _fit_magnet(spectra: ChannelSpectra, settings: FitSettings) -> tuple[Fit, ...]:

@@ -14,7 +14,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, choice, quantity, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -223,7 +223,7 @@ FORMS: dict[str, Form] = {
 class ControllerBlock(Settings):
     """One block of a controller in series with the others."""
 
-    form: str = setting("choice", "what the block is given by", choices=tuple(FORMS))
+    form: str = choice("what the block is given by", tuple(FORMS))
     zeros: tuple[complex, ...] = setting(
         "roots", "roots: of the numerator, [rad/s]; with a rate of z, [1]", default=()
     )
@@ -255,7 +255,7 @@ class ControllerBlock(Settings):
     def __post_init__(self) -> None:
         form = FORMS[self.form]
         for name, declared in self.__dataclass_fields__.items():
-            given = getattr(self, name) != declared.default
+            given = name in self.written
             if name in form.needs and not given:
                 hint = declared.metadata["setting"].help
                 raise ConfigError(f"{name}: is missing for the form {self.form}", hint=hint)

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -25,7 +25,7 @@ class Levitation(Settings):
     k_0 + K (G(jw) - G(0)); K = probe * amplifier * force-current factor [N/m].
     """
 
-    law: str = setting("choice", "how stiffness changes with frequency", choices=LAWS, default="relaxation")
+    law: str = choice("how stiffness changes with frequency", LAWS, "relaxation")
     static: float = quantity("static stiffness k_0 of one bearing", "N/m", 1694.0)
     dynamic: float = quantity("stiffness gained far above the corner, k_1", "N/m", 110e3)
     corner: float = quantity("corner frequency f_c", "Hz", 150.0)
@@ -51,9 +51,9 @@ class Noise(StandardDeviations):
 class VirtualMagneticRig(Settings):
     """Pedestal, rotor in two magnetic bearings, sensors."""
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual magnetic-bearing rig")
+    name: str = text("name of the rig", "Virtual magnetic-bearing rig")
     pedestal_mass: float = quantity("mass of the pedestal alone", "kg", 0.79)
     rotor_mass: float = quantity("mass of pedestal and rotor, moving radially", "kg", 0.92)
     axial_mass: float = quantity("mass moving axially", "kg", 0.13)

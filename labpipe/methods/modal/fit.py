@@ -14,7 +14,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import chance_text
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
-from labpipe.estimation.diagnostics import MISMATCH_P, quality_findings
+from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text, quality_findings
 from labpipe.estimation.measured import Measured, changes_by, matrix_errors, measured_part, select_ports
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
@@ -70,9 +70,7 @@ def _sources(
 
 def mismatch(estimate: ModalEstimate) -> float | None:
     """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
-    if estimate.chi2_reduced is None or estimate.chi2_p is None or estimate.chi2_p >= MISMATCH_P:
-        return None
-    return float(np.sqrt(estimate.chi2_reduced))
+    return excess(estimate.chi2_reduced, estimate.chi2_p)
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
@@ -97,10 +95,7 @@ def modal_findings(
         warnings.append(Finding("unphysical", f"{mode}: it is noise, or energy enters the structure"))
     factor, what = mismatch(estimate), ""
     if factor is not None:
-        what = (
-            f"the residual is {factor:.3g} times what the measured noise explains (chi-square per degree of "
-            f"freedom {estimate.chi2_reduced:.3g}, {chance_text(estimate.chi2_p)})"
-        )
+        what = excess_text(estimate.chi2_reduced, estimate.chi2_p)
     elif unexplained(estimate, p_noise):
         what = f"the residual is not noise: it is alike on neighbouring lines ({chance_text(p_noise)})"
     elif errors:

@@ -10,7 +10,7 @@ from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import Geometry
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, choice, quantity, setting
 
 # Lowest highest order: below it no mode can be told from noise by its return.
 LEAST_ORDER = 6
@@ -26,11 +26,8 @@ class ModalSettings(Settings):
     poles: tuple[float, ...] = setting(
         "values", "natural frequencies chosen by hand, or auto", unit="Hz", choices=("auto",), default=()
     )
-    shapes: str = setting(
-        "choice",
-        "complex, or real as with damping in proportion to mass and stiffness",
-        choices=("complex", "real"),
-        default="complex",
+    shapes: str = choice(
+        "complex, or real as with damping in proportion to mass and stiffness", ("complex", "real"), "complex"
     )
     moving_mass: float | None = quantity(
         "mass of the sensor or hammer that moves from point to point and loads the structure; frequencies "

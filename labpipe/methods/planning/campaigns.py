@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from scipy import fft
 from scipy.linalg import expm
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -174,7 +173,7 @@ class _Problem:
         self.lines, self.gains, self.group = lines, gains, group
         self.n_line, self.n_source, _ = gains.shape
         self.n_group = int(group.max()) + 1
-        self.n_sample = fft.next_fast_len(SEARCHED * int(lines.max()), real=True)
+        self.n_sample = scipy.fft.next_fast_len(SEARCHED * int(lines.max()), real=True)
 
     def phases(self, unknowns: FloatArray) -> FloatArray:
         first = unknowns[: self.n_line, None]
@@ -199,7 +198,7 @@ class _Problem:
             square *= square
             powers *= square
         total = float(np.vdot(powers, scaled))
-        spectrum = fft.rfft(powers, axis=1, overwrite_x=True)[:, self.lines].T
+        spectrum = scipy.fft.rfft(powers, axis=1, overwrite_x=True)[:, self.lines].T
         # Re(1j a conj(S)) of all signals.
         slope = np.einsum("lsc,lc->ls", amplitudes, spectrum.conj()).imag / -largest / total
         differences = np.zeros((self.n_group, self.n_source - 1))

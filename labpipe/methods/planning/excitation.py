@@ -297,7 +297,7 @@ def _is_coefficient(parameter: Parameter) -> bool:
 
 def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
     """Covariance by noise, NaN without errors, and changes of a fit's coefficients but *typed* ones."""
-    estimated = [p for p in fit.parameters if not p.derived]
+    estimated = fit.estimated
     kept = [number for number, p in enumerate(estimated) if _is_coefficient(p) and p.name not in typed]
     names = tuple(estimated[number].name for number in kept)
     by_noise = {} if fit.budget is None else dict(zip(fit.budget.names, fit.budget.random, strict=True))

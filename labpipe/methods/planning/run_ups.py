@@ -41,7 +41,7 @@ from labpipe.methods.run_ups.rotor import (
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
-from labpipe.records.settings import Settings, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -89,9 +89,7 @@ class TrialSettings(Settings):
 class RunUpPlanSettings(Settings):
     """Which run-ups there could be, how they are read, what they are to tell; *rig*: contents of `rotor`."""
 
-    model: str = setting(
-        "choice", "what will be identified: the oil film over load and speed", choices=(RUN_UPS,)
-    )
+    model: str = choice("what will be identified: the oil film over load and speed", (RUN_UPS,))
     rotor: str = setting("file", "rotor file with pins", file_kind="run-up-rotor", into="rig")
     _: KW_ONLY
     loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")

@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import MODELS, PlannedKind
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, quantity, section, setting, text
+from labpipe.records.settings import Settings, Uncertainties, choice, quantity, section, setting, text
 from labpipe.registry import Registry
 
 # What can be planned, by the model that will be identified.
@@ -116,7 +116,7 @@ class SignalSettings(Settings):
 class PlanSettings(SignalSettings):
     """What is to be determined, with which rig, within which limits."""
 
-    model: str = setting("choice", "what will be identified", choices=tuple(MODELS))
+    model: str = choice("what will be identified", tuple(MODELS))
     _: KW_ONLY
     band: tuple[float, float] = setting("band", "frequencies that may be excited", unit="Hz")
     duration: float = quantity("of all measured periods together", "s")
@@ -158,9 +158,7 @@ class PlanSettings(SignalSettings):
     shakers: tuple[str, ...] = setting(
         "names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=()
     )
-    scheme: str = setting(
-        "choice", "how two shakers run; default: what tells most", choices=(BEST, *SCHEMES), default=BEST
-    )
+    scheme: str = choice("how two shakers run; default: what tells most", (BEST, *SCHEMES), BEST)
     speed: float | None = quantity(
         "speed of the shaft, whose 1x line and neighbours are left out", "Hz", None
     )

@@ -35,7 +35,7 @@ from labpipe.methods.planning.settings import (
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import quantity, setting, settings_of
+from labpipe.records.settings import choice, quantity, setting, settings_of
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
@@ -47,9 +47,7 @@ COEFFICIENTS = tuple(f"{letter}_{row}{column}" for letter in "kc" for row in AXE
 class StatePlanSettings(SignalSettings):
     """Which loads and speeds can be run, how a state is tested, and what the tests are to tell."""
 
-    model: str = setting(
-        "choice", "what will be identified: a floating bearing over load and speed", choices=(STATES,)
-    )
+    model: str = choice("what will be identified: a floating bearing over load and speed", (STATES,))
     bearing: str = setting(
         "file",
         "bearing file with `load` and `speed`; its y and z are the plan's x and y",
@@ -78,9 +76,7 @@ class StatePlanSettings(SignalSettings):
         unit="1",
         default=(),
     )
-    scheme: str = setting(
-        "choice", "how both shakers run at once", choices=(INTERLEAVED, TOGETHER), default=INTERLEAVED
-    )
+    scheme: str = choice("how both shakers run at once", (INTERLEAVED, TOGETHER), INTERLEAVED)
     skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
 
     def __post_init__(self) -> None:

@@ -35,7 +35,7 @@ from labpipe.methods.rotor.shaft import Support
 from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
-from labpipe.records.settings import Settings, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -68,7 +68,7 @@ class WearGoal(Settings):
 class WearPlanSettings(Settings):
     """Which tests there could be, how measured, what they are to tell; *rig*: contents of `rotor`."""
 
-    model: str = setting("choice", "what will be identified: depth and angle of wear", choices=(WORN,))
+    model: str = choice("what will be identified: depth and angle of wear", (WORN,))
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
     _: KW_ONLY
     expected: Wear = section("depth and angle that are expected", Wear)

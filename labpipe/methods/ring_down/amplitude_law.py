@@ -13,7 +13,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import chance_text
 from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import linearised, minimise, sum_of_squares
+from labpipe.estimation.descent import SquareSum, linearised, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.ring_down import likelihood
 from labpipe.records.finding import Finding
@@ -65,7 +65,7 @@ def travel(time: FloatArray, first: float, omega: float, rest: float, slope: flo
     return linear * share
 
 
-class _Problem:
+class _Problem(SquareSum):
     """Whitened residual of one mode's law over z0, z1, s and w relative to the exponential fit, then ln A0
     and phase of every piece.
     """
@@ -87,8 +87,11 @@ class _Problem:
             course = (course @ fitted.pieces[number].amplitudes[others, output]).real
             rows = piece.rows[:, output] - piece.project(course[:, None])[:, 0]
             self.targets.append(piece.free(rows))
+
+    @property
+    def size(self) -> float:
         parts = [target / d for target, d in zip(self.targets, self.deviation, strict=True)]
-        self.size = float(np.sqrt(sum(np.sum(part**2) for part in parts)))
+        return float(np.sqrt(sum(np.sum(part**2) for part in parts)))
 
     @property
     def start(self) -> FloatArray:
@@ -132,9 +135,6 @@ class _Problem:
                 block[:, column] = (above - below) / (2 * step)
             blocks.append(block)
         return np.concatenate(blocks)
-
-    def chi2(self, parameters: FloatArray) -> float:
-        return sum_of_squares(self.residual, parameters)
 
 
 def fitted_law(

@@ -23,7 +23,7 @@ from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
-from labpipe.records.settings import Settings, setting
+from labpipe.records.settings import Settings, choice, setting
 from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.settings import DECAYS
 
@@ -35,11 +35,8 @@ class DecaySettings(Settings):
     """What a free decay consists of."""
 
     modes: int = setting("integer", "modes that decay together", default=1)
-    repeats: str = setting(
-        "choice",
-        "several decays: each fitted, and their mean; or pool, one fit of all",
-        choices=("each", "pool"),
-        default="each",
+    repeats: str = choice(
+        "several decays: each fitted, and their mean; or pool, one fit of all", ("each", "pool"), "each"
     )
 
     def __post_init__(self) -> None:

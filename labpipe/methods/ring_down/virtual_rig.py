@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import SettingError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, choice, quantity, setting, text
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-decay-rig"
@@ -26,13 +26,13 @@ class DecayRig(Settings):
     noise on the probe. The run *joint* has the first mode alone, with A' = -w (zeta + joint A / amplitude) A.
     """
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     frequencies: tuple[float, ...] = setting(
         "values", "natural frequencies; the runs struck and joint have the first alone", unit="Hz"
     )
     damping_ratios: tuple[float, ...] = setting("values", "damping ratio of every mode", unit="1")
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual mass on springs, struck")
+    name: str = text("name of the rig", "Virtual mass on springs, struck")
     mass: float = quantity("mass that moves", "kg", 2.0)
     amplitude: float = quantity("amplitude of every mode after the first hit", "m", 1e-4)
     joint: float = quantity("damping ratio that the joint adds at that amplitude", "1", 0.003)
@@ -54,8 +54,7 @@ class DecayRig(Settings):
         if not all(lowest <= frequency < highest for frequency in self.frequencies):
             what = f"frequencies must lie between {lowest:g} Hz, a period after a hit, and {highest:g} Hz"
             raise SettingError("frequencies", what)
-        if not all(0 <= ratio < 1 for ratio in self.damping_ratios):
-            raise SettingError("damping_ratios", "damping ratios must lie between 0 and 100 %")
+        self.require_share("damping_ratios", or_none=True)
 
 
 def decay_runs(rig: DecayRig, seed: int, names: Sequence[str] = RUNS) -> tuple[Recording, ...]:

@@ -200,8 +200,7 @@ def log_covariance(fit: Fit) -> FloatArray:
         if error is None or parameter.derived:
             raise FitError(f"{parameter.name} of test {fit.test} has no standard error of its own")
         relative.append(error / parameter.value)
-    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
-    places = [estimated.index(parameter) for parameter in chosen]
+    places = [fit.estimated.index(parameter) for parameter in chosen]
     return fit.correlation[np.ix_(places, places)] * np.outer(relative, relative)
 
 

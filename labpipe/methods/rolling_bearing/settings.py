@@ -17,7 +17,7 @@ from scipy import special
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.loads import DOFS, LOADS, RigidShaft, RollingBearing
-from labpipe.records.settings import Settings, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class ShaftSettings(Settings):
 class RollingSettings(Settings, ABC):
     """Settings common to ball and roller bearings."""
 
-    kind: str = setting("choice", "which kind of bearing", choices=(BALL, ROLLER))
+    kind: str = choice("which kind of bearing", (BALL, ROLLER))
     elements: int = setting("integer", "number of rolling elements")
     name: str = text("name of the bearing")
     contact_angle: float = quantity("unloaded contact angle", "rad", 0.0)

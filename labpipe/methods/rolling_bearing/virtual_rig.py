@@ -21,7 +21,7 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -88,10 +88,10 @@ class RigNoise(StandardDeviations):
 class VirtualBallBearingRig(Settings):
     """Bearings, shaft, sensors, and the deviation from theory: ratio of true to theoretical stiffness."""
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     deep_groove: TestedBearing = section("first bearing: tested up and down and repeatedly", TestedBearing)
     angular: TestedBearing | None = section("second bearing: tested up", TestedBearing, None)
-    name: str = setting("text", "name of the rig", default="Virtual ball-bearing rig")
+    name: str = text("name of the rig", "Virtual ball-bearing rig")
     stiffness_ratio: float = quantity("true stiffness over the theory's", "1", 1.12)
     damping_factor: float = quantity("beta of the bearings' damping C = beta K", "s", 2e-5)
     hysteresis: float = quantity("stiffness gained on the way down, relative", "1", 0.0)

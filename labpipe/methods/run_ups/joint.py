@@ -4,7 +4,7 @@ Omega_meas) / s)^2 + sum (p / spread)^2, r the residual of the responses over th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -19,8 +19,7 @@ from labpipe.estimation.statistics import Stated, combination_text, pulls_of, st
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import Posterior, Problem, Residual
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
-from labpipe.methods.run_ups import rotor
-from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_speeds, shared_noise, sources_of
+from labpipe.methods.run_ups import misfit, rotor
 from labpipe.methods.run_ups.records import OUTSIDE, RunUp
 from labpipe.records.uncertain import Uncertain, Uncertainty
 
@@ -37,7 +36,7 @@ Family = TypeVar("Family", bound=rotor.CoefficientFamily)
 
 def run_up_problem(
     family: Family,
-    groups: tuple[LoadRuns, ...],
+    groups: tuple[misfit.LoadRuns, ...],
     thresholds: tuple[MeasuredThreshold, ...],
     spread: FloatArray,
     free: BoolArray | None = None,
@@ -72,7 +71,9 @@ class MeasuredThreshold:
         return np.array([(speed - self.speed.value) / error]), lambda: -slopes[None] / (by_speed * error)
 
 
-def measured_thresholds(rig: rotor.RunUpRotor, groups: tuple[LoadRuns, ...]) -> tuple[MeasuredThreshold, ...]:
+def measured_thresholds(
+    rig: rotor.RunUpRotor, groups: tuple[misfit.LoadRuns, ...]
+) -> tuple[MeasuredThreshold, ...]:
     """Each once: files of one load may state the same measurement."""
     stated = dict.fromkeys((group.load, run.run.threshold) for group in groups for run in group.runs)
     return tuple(MeasuredThreshold(rig, load, speed) for load, speed in stated if speed is not None)
@@ -107,8 +108,8 @@ REJECTED = 1e-3
 LOAD_SLACK = 0.01
 # Parameters that are exponents, not logarithms of factors.
 EXPONENTS = ("viscosity_speed", "viscosity_load")
-# Step of a difference, in standard errors along each axis of the covariance.
-STEP = 0.5
+# Half-width of the differences that give the bend of a peak, as a part of its speed.
+PEAK_STEP = 5e-3
 
 
 def outside(load: float, low: float, high: float, of: str) -> str:
@@ -126,8 +127,8 @@ class RunUpFit(Posterior[Family]):
     steps: int
 
     @property
-    def groups(self) -> list[LoadRuns]:
-        return [test for test in self.problem.tests if isinstance(test, LoadRuns)]
+    def groups(self) -> list[misfit.LoadRuns]:
+        return [test for test in self.problem.tests if isinstance(test, misfit.LoadRuns)]
 
     @property
     def loads(self) -> tuple[float, ...]:
@@ -136,13 +137,15 @@ class RunUpFit(Posterior[Family]):
 
     @property
     def sources(self) -> tuple[Uncertainty, ...]:
-        return sources_of(self.groups)
+        return misfit.sources_of(self.groups)
 
     @cached_property
     def covariance(self) -> FloatArray:
         """V + V E V of all parameters (n_parameter, n_parameter) [1], E the `shared_noise` of the runs."""
         covariance = super().covariance
-        return covariance + covariance @ shared_noise(self._by_baselines(), len(covariance)) @ covariance
+        return (
+            covariance + covariance @ misfit.shared_noise(self._by_baselines(), len(covariance)) @ covariance
+        )
 
     def _by_baselines(self) -> Iterator[tuple[RunUp, FloatArray]]:
         for group in self.groups:
@@ -199,10 +202,62 @@ class RunUpFit(Posterior[Family]):
         """The eight coefficients (n_speed, 8) [N/m, N s/m] and their derivatives by the parameters."""
         return self.model.coefficients_and_slopes(self.values, np.full(speed.size, load), speed)
 
+    @property
+    def whole_covariance(self) -> FloatArray:
+        """Of all parameters (n_parameter, n_parameter) [1]: noise and priors, widened, and the probes."""
+        return self.widening**2 * self.covariance + self.systematic.T @ self.systematic
+
+    def unexplained(self, load: float, speed: FloatArray) -> FloatArray:  # noqa: ARG002
+        """Covariance (n_speed, n_speed) [-] of the logarithms of each coefficient beyond the parameters."""
+        return np.zeros((speed.size, speed.size))
+
+    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
+        eight, slopes = self.with_slopes(load, speed)
+        variance = np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes)
+        beyond = np.maximum(np.diagonal(self.unexplained(load, speed)), 0)[:, None] * eight**2
+        return eight, np.sqrt(variance + self.widening**2 * beyond)
+
+    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
+        """Speed [rad/s] of the largest displacement at a plane, or the last one; its error from d Omega =
+        -d(A') / A'', A the displacement at the peak and a little to both sides.
+        """
+        speed = self.rig.critical_speed(self.at_load(load), plane)
+        step = PEAK_STEP * speed
+        around = speed + step * np.array([-1.0, 0.0, 1.0])
+        number = self.rig.plane_names.index(plane) if plane else -1
+        response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
+            *self.at_load(load)(around)
+        )
+        size = rotor.largest_displacement(response.reshape(3, -1, 2))[:, number]
+        bend = (size[0] - 2 * size[1] + size[2]) / step**2
+        sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
+        by_eight = misfit.displacement_slopes(response, slopes)[:, number] * sides
+        return Uncertain(speed, self._error(load, around, by_eight))
+
+    def threshold(self, load: float) -> Uncertain | None:
+        """Onset speed of instability [rad/s], if there is one within the search."""
+        onset = self.rig.threshold(self.at_load(load))
+        if onset is None:
+            return None
+        speed, by_speed = nearby_threshold(self.rig, self.at_load(load), onset)
+        stiffness, damping = self.at_load(load)(np.array([speed]))
+        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
+        by_eight = -np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) / by_speed
+        return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
+
     def extrapolated(self, load: float) -> str:
         """Warning on a *load* [N] beyond those of the fit, or empty."""
         beyond = outside(load, min(self.loads), max(self.loads), "the fit")
         return beyond and f"{beyond}: "
+
+    def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
+        """Of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
+        eight, slopes = self.with_slopes(load, speed)
+        by_parameter, by_field = np.einsum("ni,nij->j", weights, slopes), weights * eight
+        beyond = np.einsum("ni,nm,mi->", by_field, self.unexplained(load, speed), by_field)
+        variance = by_parameter @ self.whole_covariance @ by_parameter
+        return float(np.sqrt(variance + self.widening**2 * max(float(beyond), 0.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,11 +292,6 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         """Posterior standard deviations of the logarithms (12,) [-], widened; NaN at a bound."""
         return np.where(self.at_bound, np.nan, np.sqrt(np.diag(self.whole_covariance)))
 
-    @property
-    def whole_covariance(self) -> FloatArray:
-        """Of the logarithms (12, 12) [1]: by noise and priors, widened, and by the probes."""
-        return self.widening**2 * self.covariance + self.systematic.T @ self.systematic
-
     def parameter(self, name: str) -> Uncertain:
         """The factor exp(value) on the rotor file's value; of the two slopes the exponent itself."""
         n = rotor.PARAMETERS.index(name)
@@ -249,29 +299,6 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         if name in EXPONENTS:
             return Uncertain(value, error)
         return Uncertain(float(np.exp(value)), float(np.exp(value)) * error)
-
-    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
-        eight, slopes = self.with_slopes(load, speed)
-        return eight, np.sqrt(np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes))
-
-    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement at a plane, or the last one."""
-        return self._predict(lambda values: self.rig.critical_speed(self.model.at_load(values, load), plane))
-
-    def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s], if there is one within the search."""
-        if self.rig.threshold(self.at_load(load)) is None:
-            return None
-
-        def speed_of(values: FloatArray) -> float:
-            speed = self.rig.threshold(self.model.at_load(values, load))
-            if speed is None:
-                what = "the threshold speed leaves the range of the search within its own uncertainty"
-                raise FitError(what, hint=f"it is above {self.rig.search.highest / rotor.RPM:.0f} rpm")
-            return speed
-
-        return self._predict(speed_of)
 
     def caution(self, load: float) -> str:
         """Warning on a rejected family and on a *load* [N] beyond those of the fit, or empty."""
@@ -281,17 +308,6 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         only += "chi-square tests the measured loads only"
         beyond = self.extrapolated(load)
         return "; ".join(([rejected] if self.rejected else []) + ([f"{beyond}{only}"] if beyond else []))
-
-    def _predict(self, predict: Callable[[FloatArray], float]) -> Uncertain:
-        """By central differences along the axes of the covariance."""
-        sizes, axes = np.linalg.eigh(self.whole_covariance)
-        variance = 0.0
-        for size, axis in zip(np.sqrt(np.maximum(sizes, 0)), axes.T, strict=True):
-            if size > 0:
-                change = STEP * size * axis
-                moved = predict(self.values + change) - predict(self.values - change)
-                variance += (moved / (2 * STEP)) ** 2
-        return Uncertain(predict(self.values), float(np.sqrt(variance)))
 
 
 MOST_REFITS = 12
@@ -315,7 +331,7 @@ def fit_jointly(
     """
     runs = list(runs)
     rig = rotor.searched_over(rig, runs)
-    groups = tuple(runs_by_speeds(rig, runs))
+    groups = tuple(misfit.runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     free = np.array([name not in known for name in rotor.PARAMETERS])
     family = family_about(rig, [group.load for group in groups])

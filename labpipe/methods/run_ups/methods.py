@@ -314,7 +314,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: Ru
 
 def solve_joint(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
     fit = fit_jointly(rig, trained, known=settings.known)
-    return Solved(joint_method("joint", "(c) joint physical fit", fit), joint_at(fit), anywhere=fit)
+    return Solved(joint_method(fit), joint_at(fit), anywhere=fit)
 
 
 def solve_process(
@@ -334,10 +334,10 @@ def solve_process(
     return Solved(method, joint_at(fit), anywhere=fit)
 
 
-def joint_method(name: str, title: str, fit: JointFit) -> records.RunUpMethod:
+def joint_method(fit: JointFit) -> records.RunUpMethod:
     return records.RunUpMethod(
-        name,
-        title,
+        "joint",
+        "(c) joint physical fit",
         unknowns=len(PARAMETERS) - len(fit.known),
         rank=fit.rank,
         share_at_bound=fit.share_at_bound,

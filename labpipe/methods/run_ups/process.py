@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import scipy
-from scipy import linalg
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
@@ -35,12 +34,10 @@ from labpipe.methods.run_ups.joint import (
     RunUpFit,
     family_about,
     measured_thresholds,
-    nearby_threshold,
     run_up_problem,
 )
-from labpipe.methods.run_ups.misfit import LoadRuns, displacement_slopes, runs_by_load
+from labpipe.methods.run_ups.misfit import LoadRuns, runs_by_load
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.records.uncertain import Uncertain
 
 # Eigenvalues of the covariance below this part of the largest are left to the unexplained variance.
 LEAST_EIGENVALUE = 1e-7
@@ -128,9 +125,6 @@ def places_of(load: FloatArray | float, speed: FloatArray) -> FloatArray:
     return np.stack(np.broadcast_arrays(load, speed), axis=-1).reshape(-1, 2)
 
 
-PEAK_STEP = 5e-3
-
-
 @dataclass(frozen=True, kw_only=True)
 class ProcessFit(RunUpFit[ProcessFamily]):
     """A RunUpFit with smooth factors."""
@@ -155,42 +149,9 @@ class ProcessFit(RunUpFit[ProcessFamily]):
             f"{self.n_determined} combinations better than these assumptions do"
         )
 
-    def coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
-        eight, slopes = self.with_slopes(load, speed)
-        variance = np.einsum("nij,jk,nik->ni", slopes, self.covariance, slopes)
-        beyond = np.diagonal(self.model.field.unexplained(places_of(load, speed)))[:, None] * eight**2
-        of_probes = np.sum((slopes @ self.systematic.T) ** 2, axis=2)
-        return eight, np.sqrt(self.widening**2 * (variance + np.maximum(beyond, 0)) + of_probes)
-
-    def critical_speed(self, load: float, plane: str = "") -> Uncertain:
-        """Speed [rad/s] of the largest displacement at a plane, or the last one; its error from d Omega =
-        -d(A') / A'', A the displacement at the peak and a little to both sides.
-        """
-        speed = self.rig.critical_speed(self.at_load(load), plane)
-        step = PEAK_STEP * speed
-        around = speed + step * np.array([-1.0, 0.0, 1.0])
-        number = self.rig.plane_names.index(plane) if plane else -1
-        eight = self.model.coefficients(self.values, load, around)
-        response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
-            *rotor.as_matrices(eight)
-        )
-        size = rotor.largest_displacement(response.reshape(3, -1, 2))[:, number]
-        bend = (size[0] - 2 * size[1] + size[2]) / step**2
-        sides = np.array([1.0, 0.0, -1.0])[:, None] / (2 * step * bend)
-        by_eight = displacement_slopes(response, slopes)[:, number] * sides
-        return Uncertain(speed, self._error(load, around, by_eight))
-
-    def threshold(self, load: float) -> Uncertain | None:
-        """Onset speed of instability [rad/s], if there is one within the search."""
-        onset = self.rig.threshold(self.at_load(load))
-        if onset is None:
-            return None
-        speed, by_speed = nearby_threshold(self.rig, self.at_load(load), onset)
-        stiffness, damping = self.at_load(load)(np.array([speed]))
-        mode = self.rig.stability.least_stable(speed, stiffness[0], damping[0])
-        by_eight = -np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) / by_speed
-        return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
+    def unexplained(self, load: float, speed: FloatArray) -> FloatArray:
+        """Covariance (n_speed, n_speed) [-] of the factors' logarithms beyond those of the parameters."""
+        return self.model.field.unexplained(places_of(load, speed))
 
     def caution(self, load: float) -> str:
         """Warning on a *load* [N] beyond those of the fit, or empty."""
@@ -199,17 +160,6 @@ class ProcessFit(RunUpFit[ProcessFamily]):
             f"{outside}the smooth factors are extrapolated, and the interval assumes their correlation over "
             f"{self.kernel.load:.2g} N"
         )
-
-    def _error(self, load: float, speed: FloatArray, weights: FloatArray) -> float:
-        """Of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
-        eight, slopes = self.with_slopes(load, speed)
-        by_parameter = np.einsum("ni,nij->j", weights, slopes)
-        by_field = weights * eight
-        beyond = np.einsum(
-            "ni,nm,mi->", by_field, self.model.field.unexplained(places_of(load, speed)), by_field
-        )
-        noise = by_parameter @ self.covariance @ by_parameter + max(float(beyond), 0.0)
-        return float(np.sqrt(self.widening**2 * noise + np.sum((self.systematic @ by_parameter) ** 2)))
 
 
 # Medians and standard deviations of the logarithms of size, and of lengths over the ranges of load and speed.
@@ -317,7 +267,7 @@ class LinearData:
         matrix[np.diag_indices_from(matrix)] += 1
         side = np.concatenate([np.einsum("pia,pi->a", scaled, self.side), (self.side.T @ basis).ravel()])
         factor = np.linalg.cholesky(matrix)
-        reduced = linalg.solve_triangular(factor, side, lower=True)
+        reduced = scipy.linalg.solve_triangular(factor, side, lower=True)
         return float(reduced @ reduced / 2 - np.sum(np.log(np.diag(factor))))
 
 

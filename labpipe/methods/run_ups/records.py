@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, frozen_array
+from labpipe.arrays import ComplexArray, FloatArray, freeze
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Uncertain, Uncertainty
@@ -38,7 +38,7 @@ class ProbeError:
 
     def __post_init__(self) -> None:
         what, shape = f"matrix of {self.uncertainty.source}", np.shape(self.matrix)
-        object.__setattr__(self, "matrix", frozen_array(self.matrix, np.complex128, what, shape))
+        freeze(self, "matrix", np.complex128, shape, what)
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ class RunUp:
 
     def __post_init__(self) -> None:
         n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)
-        for name, dtype, wanted in (("speed", np.float64, (n,)), ("response", np.complex128, shape)):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), dtype, name, wanted))
+        freeze(self, "speed", np.float64, (n,))
+        freeze(self, "response", np.complex128, shape)
         for name in ("amplitude_error", "phase_error"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), np.float64, name, shape))
+            freeze(self, name, np.float64, shape)
             if not np.all(getattr(self, name) > 0):
                 what = f"the {name.replace('_', ' ')} of run '{self.name}' is not positive everywhere"
                 raise DataError(what, hint="weights need it")

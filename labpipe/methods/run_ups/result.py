@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from labpipe.errors import LabpipeError
+from labpipe.errors import located
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY, JointFit
@@ -86,14 +86,11 @@ def _grid(method: Solved, trained: Sequence[records.RunUp]) -> Grid:
 
 
 def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
-    try:
+    with located(f"run_ups, metamodel {name}"):
         if name == "physical":
             assert isinstance(joint, JointFit)
             return PhysicalFit.of(joint, Extent.of(grid).speeds)
         return METAMODELS[KINDS[name][0]](grid, seed)
-    except LabpipeError as error:
-        error.where = error.where or f"run_ups, metamodel {name}"
-        raise
 
 
 def _prediction(
@@ -153,11 +150,8 @@ def run_up_result(
 
 
 def _solve(name: str, rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
-    try:
+    with located(f"run_ups, method {name}"):
         return METHODS[name](rig, trained, settings)
-    except LabpipeError as error:
-        error.where = error.where or f"run_ups, method {name}"
-        raise
 
 
 def prediction(

@@ -16,7 +16,6 @@ frequency: 0.95`` (over the shaft's speed) replace the unbalances.
 from __future__ import annotations
 
 import difflib
-import io
 import re
 from collections.abc import Callable, Mapping
 from itertools import product
@@ -26,11 +25,11 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import DataError
+from labpipe.errors import DataError, located
 from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.table import check_columns
-from labpipe.raw_files.text_table import CsvTable, open_unpacked
+from labpipe.raw_files.text_table import CsvTable, open_text
 from labpipe.records.settings import parse_phasor
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 from labpipe.registry import nearest
@@ -60,7 +59,7 @@ def read_run_up_csv(
     phase_error = read.errors("phase error", np.ones_like(phase), "rad")
     if load is None or "load" in read.head:
         load = read.value("load", "N")
-    try:
+    with located(path):
         shaker, unbalances = read.shaker(), read.unbalances()
         if not unbalances and shaker is None and unbalance is not None:
             unbalances = dict(unbalance) or {read.planes[0]: 0j}
@@ -76,8 +75,6 @@ def read_run_up_csv(
             shaker=shaker,
             threshold=read.threshold(),
         )
-    except DataError as error:
-        raise DataError(error.what, error.where or str(path), error.hint) from None
 
 
 class _Reader:
@@ -204,10 +201,7 @@ class _Reader:
 
 def _head(path: Path) -> dict[str, tuple[str, str]]:
     entries: dict[str, tuple[str, str]] = {}
-    with (
-        open_unpacked(path) as stream,
-        io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace") as lines,
-    ):
+    with open_text(path, "utf-8-sig") as lines:
         for number, line in enumerate(lines, 1):
             if line.strip() and not line.lstrip().startswith("#"):
                 break

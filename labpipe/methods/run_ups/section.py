@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import DataError, LabpipeError
+from labpipe.errors import DataError, located
 from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.measured import ReadRun, added_since, column, difference, run_up_of
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
@@ -46,13 +46,10 @@ def read_run(
     probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
     """The run of a pipeline's entry, less its residual run; LabpipeError names it. *probes*: of tables."""
-    try:
+    with located(f"run_ups, run '{settings.name}'"):
         read = run_as_measured(settings, output, folder, probes)
         rig.excited(read.run)
         return read
-    except LabpipeError as error:
-        error.where = error.where or f"run_ups, run '{settings.name}'"
-        raise
 
 
 def run_as_measured(

@@ -14,7 +14,7 @@ from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, Probe
 from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
 
@@ -88,7 +88,7 @@ class RunSettings(Settings):
     harmonics: int = setting("integer", "multiples of the speed fitted along", default=2)
     revolutions: int = setting("integer", "revolutions of one stretch", default=20)
     name: str = text("name of the run; default: the file's")
-    role: str = setting("choice", "fits see trained runs only", choices=(TRAINED, HELD_OUT), default=TRAINED)
+    role: str = choice("fits see trained runs only", (TRAINED, HELD_OUT), TRAINED)
     load: float | None = quantity("static load; default: the table's", "N", None)
     threshold: Uncertain | None = setting(
         "uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None
@@ -126,12 +126,10 @@ class RunSettings(Settings):
         if self.recording:
             self._check_recording()
         else:
-            declared = type(self).__dataclass_fields__
             for name in ("rig", "tacho", "pulses", "harmonics", "revolutions"):
-                if getattr(self, name) != declared[name].default:
+                if name in self.written:
                     raise SettingError(name, f"'{name}' belongs to a recording", "leave it out of a table")
-        if self.load is not None and self.load <= 0:
-            raise ConfigError("'load' must be positive")
+        self.require_positive("load")
         if self.threshold is not None and not (self.threshold.value > 0 and self.threshold.std_error > 0):
             raise ConfigError("'threshold' needs its uncertainty", hint="for example 2772 rpm +- 6 rpm")
         for name in ("printed_critical_speed", "printed_threshold"):
@@ -201,16 +199,14 @@ class RunUpSettings(Settings):
     metamodels: tuple[str, ...] = setting(
         "names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=()
     )
-    metamodels_of: str = setting(
-        "choice", "the method whose coefficients they are fitted to", choices=tuple(METHODS), default="joint"
-    )
+    metamodels_of: str = choice("the method whose coefficients they are fitted to", tuple(METHODS), "joint")
     plane: str = text("plane of the critical speeds; default: the last one")
     bound: float = quantity("largest change of a coefficient (amplitudes, points)", "1", 0.3)
     ridge: float = quantity("standard deviation of that change before a run is seen (points)", "1", 0.15)
     known: tuple[str, ...] = setting(
         "names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=()
     )
-    search: str = setting("choice", "how amplitudes are fitted", choices=SEARCHES, default="pattern")
+    search: str = choice("how amplitudes are fitted", SEARCHES, "pattern")
     starts: int = setting(
         "integer", "starts of that search at one load and speed, to show their spread", default=20
     )

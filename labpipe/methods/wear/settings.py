@@ -16,7 +16,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting, text
+from labpipe.records.settings import Settings, choice, quantity, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -67,17 +67,12 @@ class WearSettings(Settings):
     _: KW_ONLY
     bearing: str = text("name of the worn bearing; default: the last one")
     healthy: bool = setting("flag", "no wear: tune viscosity, clearance, ... to a healthy rig", default=False)
-    response: str = setting(
-        "choice", "in y and z (FRF), or forward and backward (dFRF)", choices=RESPONSES, default="FRF"
-    )
-    terms: str = setting(
-        "choice", "all terms of the response, direct or cross terms only", choices=TERMS, default="full"
-    )
-    objective: str = setting(
-        "choice",
+    response: str = choice("in y and z (FRF), or forward and backward (dFRF)", RESPONSES, "FRF")
+    terms: str = choice("all terms of the response, direct or cross terms only", TERMS, "full")
+    objective: str = choice(
         "complex: weighted by the FRF's covariance; log: squared log10 of amplitude ratios",
-        choices=OBJECTIVES,
-        default="complex",
+        OBJECTIVES,
+        "complex",
     )
     lines: tuple[float, ...] = setting(
         "values", "these frequency lines only; default: all of the band", unit="Hz", default=()
@@ -215,7 +210,7 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
     """Mean and covariance of the tuned parameters of a fit [SI units], of depth and angle as well where it
     was of the *same_wear*, inflated where its residual exceeds the noise. ConfigError where it tuned nothing.
     """
-    estimated = [parameter for parameter in fit.parameters if not parameter.derived]
+    estimated = fit.estimated
     carried = (DEPTH, ANGLE, *NUISANCES) if same_wear else tuple(NUISANCES)
     numbers = [number for number, parameter in enumerate(estimated) if parameter.name in carried]
     if same_wear and not all(

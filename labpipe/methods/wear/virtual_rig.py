@@ -17,7 +17,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, StandardDeviations, quantity, section, setting, text
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
@@ -41,9 +41,9 @@ class JournalNoise(StandardDeviations):
 class VirtualJournalRig(Settings):
     """The rotor of a rotor file with a model error, its shaker and its sensors; *rig*: that of `rotor`."""
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
-    name: str = setting("text", "name of the rig", default="Virtual rotor in journal bearings")
+    name: str = text("name of the rig", "Virtual rotor in journal bearings")
     bearing: str = text("name of the worn bearing; default: the last one")
     viscosity_error: float = quantity("true viscosity over the rotor file's, less one", "1", 0.0)
     clearance_error: float = quantity("true clearance over the rotor file's, less one", "1", 0.0)

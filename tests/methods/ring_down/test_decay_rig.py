@@ -52,7 +52,7 @@ def test_hits_come_at_their_times_with_their_strength() -> None:
     [
         ({"damping_ratios": (0.01,)}, "one value for every frequency"),
         ({"frequencies": (40.0, 600.0)}, "between 0.25 Hz, a period after a hit, and 512 Hz"),
-        ({"damping_ratios": (0.01, 1.0)}, "between 0 and 100 %"),
+        ({"damping_ratios": (0.01, 1.0)}, "damping_ratios must be at least 0 and below 100 %"),
         ({"hits": 0}, "hits must be positive"),
         ({"noise": -1e-6}, "noise must not be negative"),
         ({"interval": 1e-4}, "'interval' is shorter than two samples"),

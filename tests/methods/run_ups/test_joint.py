@@ -58,6 +58,19 @@ def test_newton_s_threshold_is_the_search_s() -> None:
     assert off == pytest.approx(0, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["critical_speed", "threshold"])
+def test_errors_of_its_predictions_are_those_of_differences(inside: JointFit, name: str) -> None:
+    """Along the axes of the covariance, a tenth of a standard error to both sides."""
+    sizes, axes = np.linalg.eigh(inside.whole_covariance)
+    changes = 0.1 * (np.sqrt(np.maximum(sizes, 0)) * axes).T
+    ends = [
+        [getattr(RIG, name)(inside.model.at_load(inside.values + sign * change, 6.0)) for change in changes]
+        for sign in (1, -1)
+    ]
+    error = np.linalg.norm(np.subtract(*ends)) / 0.2
+    assert getattr(inside, name)(6.0).std_error == pytest.approx(error, rel=5e-3)
+
+
 def test_a_threshold_that_two_files_of_one_load_state_counts_once() -> None:
     """A second trial unbalance under the same load, its file with the same head; another measurement is
     another one.

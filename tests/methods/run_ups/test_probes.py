@@ -45,7 +45,7 @@ def test_the_change_by_a_keyphasor_is_that_of_refits(runs: tuple[RunUp, ...]) ->
     ]
     found = fit.systematic[names.index("keyphasor")]
     np.testing.assert_allclose(found / fit.std_error, (ends[0] - ends[1]) / 0.2 / fit.std_error, atol=0.03)
-    viscosity = joint_method("joint", "joint", fit).parameters[0]
+    viscosity = joint_method(fit).parameters[0]
     assert viscosity.combined == pytest.approx(np.hypot(viscosity.std_error, viscosity.systematic))
     assert sum(part.share for part in viscosity.budget) == pytest.approx(1.0)
 
@@ -167,7 +167,7 @@ def test_uncertainties_of_tables_are_read() -> None:
 
 def test_the_report_states_parameters_with_the_uncertainties_of_probes(runs: tuple[RunUp, ...]) -> None:
     """Two significant digits of the combined error, not of that by noise alone."""
-    (viscosity, *_) = joint_method("joint", "joint", fit_jointly(RIG, runs)).parameters
+    (viscosity, *_) = joint_method(fit_jointly(RIG, runs)).parameters
     assert viscosity.std_error < 0.95 * viscosity.combined and viscosity.full_error == viscosity.combined
     half = (viscosity.ci95[1] - viscosity.ci95[0]) / 2
     assert half == pytest.approx(viscosity.coverage_factor * viscosity.combined)

@@ -34,7 +34,7 @@ def joint(runs: list[RunUp]) -> JointFit:
 
 def test_a_fit_that_is_not_rejected_has_intervals(joint: JointFit, runs: list[RunUp]) -> None:
     assert not joint.rejected
-    method = joint_method("joint", "joint", joint)
+    method = joint_method(joint)
     assert all(parameter.std_error is not None for parameter in method.parameters if not parameter.at_bound)
     prediction = predict(RIG, runs[0], joint_at(joint)(RIG, runs[0]), "", curves=False)
     assert prediction.critical_speed is not None and prediction.critical_speed.ci95 is not None
@@ -46,7 +46,7 @@ def test_a_rejected_fit_has_values_and_no_interval(joint: JointFit, runs: list[R
     # What a property keeps once it is computed.
     rejected.__dict__["chi2"] = 100 * joint.chi2
     assert rejected.rejected
-    method = joint_method("joint", "joint", rejected)
+    method = joint_method(rejected)
     assert method.verdict == "rejected"
     assert all(parameter.std_error is None and parameter.ci95 is None for parameter in method.parameters)
     prediction = predict(RIG, runs[0], joint_at(rejected)(RIG, runs[0]), "", curves=False)

@@ -72,7 +72,7 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
         ),
         (HEAD + RUNS.replace("}}", ", role: held-out}}"), "every run is held out"),
         (HEAD + RUNS.replace("}}", ", role: test}}"), "unknown choice 'test'"),
-        (HEAD + RUNS.replace("}}", ", load: -1 N}}"), "'load' must be positive"),
+        (HEAD + RUNS.replace("}}", ", load: -1 N}}"), "load must be positive"),
         (HEAD + RUNS.replace("}}", ", threshold: 2772 rpm}}"), "'threshold' needs its uncertainty"),
         (HEAD + RUNS.replace("}}", ", printed_threshold: [2838 rpm, 2475 rpm]}}"), "has three values"),
         (HEAD + RUNS.replace("}}", ", printed_threshold: [0 Hz, 1 Hz, 1 Hz]}}"), "three values above zero"),
